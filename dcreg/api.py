@@ -115,6 +115,7 @@ def sweep(
     model: str,
     scale_range: tuple[float, float] | None = None,
     candidates: Candidates | None = None,
+    pose_range: PoseRange | None = None,
     rel_gap: float = DEFAULT_REL_GAP,
     abs_gap: float | None = None,
     tol: float | None = None,
@@ -135,7 +136,7 @@ def sweep(
     n_inliers : sequence of int or float
         Numbers of pairs, in any order; repetitions are ignored. Floats in (0, 1] are fractions of
         ``min(n, m)``.
-    model, scale_range, candidates
+    model, scale_range, candidates, pose_range
         As in `dcreg.register`.
     rel_gap, abs_gap : optional
         For every number of pairs, as in `dcreg.register`.
@@ -180,7 +181,7 @@ def sweep(
     counts = list(n_inliers)
     if not counts:
         raise InputError("n_inliers: the list is empty; give at least one count or fraction")
-    first = Problem(source, target, counts[0], model, scale_range, candidates)
+    first = Problem(source, target, counts[0], model, scale_range, candidates, pose_range)
     distinct = {problem.n_inliers: problem for problem in map(first.with_n_inliers, counts)}
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
     return sweep_problems([distinct[k] for k in sorted(distinct)], limits, SolveOptions.of(options))

@@ -20,7 +20,7 @@ import dcreg
 from dcreg.cli import output
 from dcreg.cli.interrupts import SIGNALS
 from dcreg.cli.numbers import parse_count
-from dcreg.cli.options import Search
+from dcreg.cli.options import BatchFiles, Poses, Search
 from dcreg.cli.pair import Row, Task, columns, edge_of, failed
 from dcreg.cli.workers import solve_all
 from dcreg.files import write_text
@@ -40,6 +40,7 @@ class Batch:
         Table with the columns ``source``, ``target`` and, if wanted, ``n_inliers``; files are relative to
         its folder.
     search : Search
+    poses : Poses
     n_inliers : str, optional
         For pairs of which the table gives none.
     drop_invalid : bool
@@ -47,31 +48,28 @@ class Batch:
 
     pairs: Path
     search: Search
+    poses: Poses
     n_inliers: str | None
     drop_invalid: bool
 
-    def run(self, out: Path, graph: Path | None, jobs: int, quiet: bool) -> int:
-        """Solve the pairs that `out` does not hold yet; return the exit code.
+    def run(self, files: BatchFiles, jobs: int, quiet: bool) -> int:
+        """Solve the pairs that the table of results does not hold yet; return the exit code.
 
         Parameters
         ----------
-        out : Path
-            Table of results, written whole after each pair.
-        graph : Path, optional
-            Pose graph, written at the end.
+        files : BatchFiles
+            The table is written whole after each pair, the pose graph at the end.
         jobs : int
             Number of processes.
         quiet : bool
             Show no progress.
         """
+        out, graph = files.out_path, files.graph_path
         self._check(graph, jobs)
         names = self._names()
         tasks = self._tasks(names)
-        output.check_suffix("--out", out, [".csv"])
-        output.check_suffix("--graph", graph, [".g2o"])
-        inputs = [str(self.pairs), self.search.candidates_path]
-        inputs += [file for task in tasks for file in (task.source, task.target)]
-        output.check_outputs({"--out": out, "--graph": graph}, *inputs)
+        inputs = [str(self.pairs), self.search.candidates_path, self.poses.init]
+        files.check(*inputs, *(file for task in tasks for file in (task.source, task.target)))
         table = _Table(out, columns(self.search.model), _described(names))
         content = cache(_content)  # a cloud may be in several pairs
         digests = [self._digest(task, content) for task in tasks]
@@ -93,6 +91,7 @@ class Batch:
         model = self.search.model
         if model not in MODEL_DIM:
             raise dcreg.InputError(f"--model: '{model}' is unknown; known: {', '.join(MODEL_DIM)}")
+        self.poses.settings()
         if jobs < 1:
             raise dcreg.InputError(f"--jobs: {jobs} processes; give a positive number")
         if graph is not None and model != "rigid3d" and self.search.scale_range != (1.0, 1.0):
@@ -143,6 +142,7 @@ class Batch:
                 str(folder / row["target"]),
                 row["n_inliers"],
                 self.search,
+                self.poses,
                 self.drop_invalid,
             )
             for place, row in enumerate(names)
@@ -151,8 +151,8 @@ class Batch:
     def _digest(self, task: Task, content: Callable[[str], str]) -> str:
         """Return a digest of what the result of a pair depends on: files, options and version."""
         options = {
-            name: content(value) if name.endswith("_path") and value else value
-            for name, value in vars(self.search).items()
+            name: content(value) if value and (name == "init" or name.endswith("_path")) else value
+            for name, value in {**vars(self.search), **vars(self.poses)}.items()
         }
         keys = [file.rpartition(":")[2] for file in (task.source, task.target) if ":" in file]
         files = [content(task.source), content(task.target), keys]
@@ -162,7 +162,7 @@ class Batch:
 
 
 def _content(path: str) -> str:
-    """Return a digest of a file, which may be given as FILE.npz:KEY."""
+    """Return a digest of a file, which may be given as FILE:KEY."""
     for name in (path, path.rpartition(":")[0]):
         with suppress(OSError), Path(name).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -14,6 +14,7 @@ from dcreg.cli import output
 from dcreg.cli.app import app, command, required_count, run_search
 from dcreg.cli.numbers import parse_counts
 from dcreg.cli.options import (
+    BatchFiles,
     CloudFiles,
     MatchSearch,
     Outputs,
@@ -78,7 +79,7 @@ def register(
 ) -> int:
     """Register SOURCE to TARGET and certify the result.
 
-    Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off.
+    Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off .las .laz .e57.
 
     Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C
     (the best pose is still written); 4 an output file could not be written; 6 refuted
@@ -95,7 +96,7 @@ def register(
         Write a certificate for `dcreg verify`.
     """
     paths = {**outputs.paths, "--certificate": certificate_path}
-    outputs.check(paths, *clouds.names.values(), search.candidates_path)
+    outputs.check(paths, *clouds.names.values(), search.candidates_path, poses.init)
     count = required_count(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
@@ -134,6 +135,7 @@ def sweep(
     clouds: CloudFiles,
     n_inliers: str,
     search: Search,
+    poses: Poses,
     out_path: Path | None = None,
     plot_path: Path | None = None,
     quiet: Quiet = False,
@@ -162,11 +164,12 @@ def sweep(
     """
     output.check_suffix("--out", out_path, [".json", ".csv"])
     output.check_figure(plot_path, list(FIGURE_PACKAGES))
-    inputs = *clouds.names.values(), search.candidates_path
+    inputs = *clouds.names.values(), search.candidates_path, poses.init
     output.check_outputs({"--out": out_path, "--plot": plot_path}, *inputs)
     counts = parse_counts(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
+    keywords["pose_range"], options["init"] = poses.settings()
     found = run_search(dcreg.sweep, *points, counts, quiet=quiet, options=options, **keywords)
     typer.echo(found)
     in_files = replace(found, results=clouds.in_files(found.results))
@@ -185,11 +188,11 @@ def sweep(
 def batch(
     *,
     pairs: Path,
-    out_path: Path,
     n_inliers: str | None = None,
     search: Search,
+    poses: Poses,
     drop_invalid: bool = False,
-    graph_path: Path | None = None,
+    files: BatchFiles,
     jobs: int = 1,
     quiet: Quiet = False,
 ) -> int:
@@ -205,20 +208,16 @@ def batch(
     ----------
     pairs : PAIRS.csv
         Table with the columns source and target, files relative to its folder, and optionally n_inliers.
-    out_path : OUT.csv
-        Write a row for each pair: status, pose, bounds or error. It is written whole after each pair.
     n_inliers : K
         Pairs to match, as for `dcreg register`, where the table gives no number.
     drop_invalid : switch
         Drop points with NaN or infinity.
-    graph_path : OUT.g2o
-        Write the poses as a pose graph for g2o. In 2D it needs --scale-range 1 1.
     jobs : N
         Number of processes.
     """
     from dcreg.cli.batch import Batch
 
-    return Batch(pairs, search, n_inliers, drop_invalid).run(out_path, graph_path, jobs, quiet)
+    return Batch(pairs, search, poses, n_inliers, drop_invalid).run(files, jobs, quiet)
 
 
 @command

@@ -99,13 +99,13 @@ class CloudFiles:
     Attributes
     ----------
     source : SOURCE
-        Cloud that moves: FILE or FILE.npz:KEY.
+        Cloud that moves: FILE or FILE:KEY.
     target : TARGET
         Cloud that stays; results are in its units.
     source_key : KEY
-        Array of an .npz or .mat source.
+        Array of an .npz or .mat source, or scan of an .e57 source, from 0.
     target_key : KEY
-        Array of an .npz or .mat target.
+        Array of an .npz or .mat target, or scan of an .e57 target, from 0.
     drop_invalid : switch
         Drop points with NaN or infinity. Row numbers still refer to the files, fractions to the points
         that are left. By default, such points are an error.
@@ -208,7 +208,7 @@ class Search:
         Refine pose and pairs jointly after the certified search.
     prove : switch
         Search for a proof to the time limit, also in a sweep. By default, mode full and searches of
-        samples end after a few seconds without one.
+        samples end after a few seconds without a proof.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.
@@ -251,16 +251,17 @@ class Poses:
     Attributes
     ----------
     init : POSE
-        Initial pose: a matrix as text or .npy, JSON written by dcreg, or one pose of KITTI or TUM.
-        Angle and displacement are relative to it; without such limits, it only gives a first upper bound.
+        Initial pose: a matrix as text or .npy, JSON written by dcreg, or one pose of KITTI or TUM. The
+        limits below are relative to this pose. Without limits, it only gives a first upper bound.
     axis : X,Y,Z
-        Only rotations about this axis (3D), such as 0,0,1 for level scans.
+        Only rotations about this axis (3D), in coordinates of the target: 0,0,1 for level scans.
     max_angle : DEG
-        Maximum rotation from the initial guess, or from no rotation.
+        Maximum angle of the rotation relative to the initial pose; without --init, of the rotation.
     max_translation : D
-        Maximum displacement of the centroid of the source from the initial guess, or from no motion.
+        Maximum displacement of the centroid of the source relative to the initial pose; without --init,
+        from its place in the file.
     rotation : switch
-        Search rotations, or only translations.
+        Search rotations and translations, or only translations.
     """
 
     init: str | None = None
@@ -337,6 +338,28 @@ class AnswerFiles:
         """Refuse before the search what could not be written."""
         output.check_outputs({"--json": self.json_path, "--plot": self.plot_path}, *inputs)
         output.check_figure(self.plot_path, [".html"])
+
+
+@dataclass
+class BatchFiles:
+    """The files that a batch writes.
+
+    Attributes
+    ----------
+    out_path : OUT.csv
+        Write a row for each pair: status, pose, bounds or error. It is written whole after each pair.
+    graph_path : OUT.g2o
+        Write the poses as a pose graph for g2o. In 2D it needs --scale-range 1 1.
+    """
+
+    out_path: Path
+    graph_path: Path | None = None
+
+    def check(self, *inputs: str | None) -> None:
+        """Refuse before the searches what could not be written."""
+        output.check_suffix("--out", self.out_path, [".csv"])
+        output.check_suffix("--graph", self.graph_path, [".g2o"])
+        output.check_outputs({"--out": self.out_path, "--graph": self.graph_path}, *inputs)
 
 
 @dataclass

@@ -42,7 +42,7 @@ def check_outputs(outputs: dict[str, Path | None], *inputs: str | None) -> None:
     *inputs : str, optional
         Files that are read and must not be overwritten.
     """
-    # FILE.npz:KEY is both a name and a file with a key
+    # FILE:KEY is both a name and a file with a key
     files = {part for name in inputs if name for part in (name, name.rpartition(":")[0]) if part}
     taken: dict[Path, str] = {Path(name).resolve(): "an input" for name in files}
     for option, path in outputs.items():

@@ -10,12 +10,12 @@ import numpy as np
 
 import dcreg
 from dcreg.cli.numbers import parse_count
-from dcreg.cli.options import CloudFiles, Search, flag
+from dcreg.cli.options import CloudFiles, Poses, Search, flag
 from dcreg.names import MODEL_DIM
 
 # The text of each column of a table of results.
 Row = dict[str, str]
-_OPTIONS = {"n_inliers", *(each.name for each in fields(Search))}
+_OPTIONS = {"n_inliers", *(each.name for group in (Search, Poses) for each in fields(group))}
 _NUMBERS = ("n_inliers", "objective", "rmse_matched", "lower_bound", "upper_bound")
 
 
@@ -32,6 +32,7 @@ class Task:
     n_inliers : str
         As on the command line.
     search : Search
+    poses : Poses
     drop_invalid : bool
     """
 
@@ -40,6 +41,7 @@ class Task:
     target: str
     n_inliers: str
     search: Search
+    poses: Poses
     drop_invalid: bool
 
 
@@ -77,6 +79,7 @@ def _solved(task: Task) -> Row:
     points = clouds.read(task.search.model)
     keywords, options = task.search.settings(clouds)
     keywords["n_inliers"] = parse_count(task.n_inliers)
+    keywords["pose_range"], options["init"] = task.poses.settings()
     result = dcreg.register(*points, **keywords, options=dcreg.SolveOptions(**options))
     return {
         "status": result.status.value,

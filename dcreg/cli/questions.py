@@ -11,7 +11,7 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.app import command, required_count, run_search
-from dcreg.cli.options import AnswerFiles, CloudFiles, Quiet, Search
+from dcreg.cli.options import AnswerFiles, CloudFiles, Poses, Quiet, Search
 from dcreg.names import DEFAULT_RATIO, DEFAULT_TIME_LIMIT_S
 
 if TYPE_CHECKING:
@@ -25,14 +25,18 @@ def certify(
     clouds: CloudFiles,
     n_inliers: str | None = None,
     search: Search,
+    poses: Poses,
     files: AnswerFiles,
     quiet: Quiet = False,
 ) -> int:
     """Judge a POSE of SOURCE from any program: optimal, improvable or open.
 
-    Exit code: 0 optimal; 2 bad input; 3 open (neither proven optimal nor
-    improved); 4 an output file could not be written; 6 improvable (a better pose is
-    printed).
+    The answer is the objective of the pose, a lower bound on the objective of every
+    pose, and a verdict. Optimal: no pose is better by more than the tolerance, which
+    is proven. Improvable: a better pose was found. Open: neither.
+
+    Exit code: 0 optimal; 2 bad input; 3 open; 4 an output file could not be written;
+    6 improvable.
 
     Parameters
     ----------
@@ -41,12 +45,15 @@ def certify(
     n_inliers : K
         Pairs to match, as for `dcreg register`. Required.
     """
-    files.check(*clouds.names.values(), search.candidates_path, pose)
+    files.check(*clouds.names.values(), search.candidates_path, poses.init, pose)
     names = {**clouds.names, "pose": pose}
     count, T = required_count(n_inliers), dcreg.read_pose(pose)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
     keywords["n_inliers"] = count
+    keywords["pose_range"], init = poses.settings()
+    if keywords["pose_range"] is None:
+        options["init"] = init
     found = run_search(dcreg.certify, *points, T, quiet=quiet, options=options, **keywords)
     codes = {"optimal": output.EXIT_OK, "improvable": output.EXIT_REFUTED}
     code = codes.get(found.verdict, output.EXIT_LIMIT)
@@ -60,33 +67,35 @@ def alternatives(
     n_inliers: str | None = None,
     search: Search,
     ratio: float = DEFAULT_RATIO,
-    distance: float | None = None,
-    most: int = 20,
+    min_displacement: float | None = None,
+    max_others: int = 20,
     files: AnswerFiles,
     quiet: Quiet = False,
 ) -> int:
-    """Find all distinct poses that are nearly as good as the best one, or prove that it is unique.
+    """Find all distinct poses that are nearly as good as the best one, or prove that there is none.
 
-    Exit code: 0 the list is proven to be complete; 2 bad input; 3 there may
-    be more; 4 an output file could not be written.
+    Exit code: 0 the list is proven to be complete; 2 bad input; 3 more such
+    poses may exist; 4 an output file could not be written.
 
     Parameters
     ----------
     n_inliers : K
         Pairs to match, as for `dcreg register`. Required.
     ratio : X
-        A pose is nearly as good if its objective is at most X times the best one.
-    distance : D
-        Poses are distinct if the RMS displacement of the source points between them exceeds D. Default:
-        three RMS residuals, at least 1 % of the RMS radius of the target.
-    most : N
-        Stop after N other poses.
+        A pose is nearly as good if its objective is at most X times that of the best pose.
+    min_displacement : D
+        Two poses are distinct if the RMS displacement of the source points between them exceeds D, in
+        units of the target. Default: three RMS residuals of the best pose, at least 1 % of the RMS radius
+        of the target.
+    max_others : N
+        Stop when N other poses are found.
     """
     files.check(*clouds.names.values(), search.candidates_path)
     count = required_count(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
-    keywords |= {"n_inliers": count, "ratio": ratio, "distance": distance, "most": most}
+    keywords |= {"n_inliers": count, "ratio": ratio, "max_others": max_others}
+    keywords["min_displacement"] = min_displacement
     found = run_search(dcreg.alternatives, *points, quiet=quiet, options=options, **keywords)
     code = output.EXIT_OK if found.is_complete else output.EXIT_LIMIT
     return _finish(found, points, clouds, clouds.names, files) or code
@@ -122,21 +131,28 @@ class Count:
 
 @command
 def max_inliers(
-    *, clouds: CloudFiles, count: Count, files: AnswerFiles, quiet: Quiet = False
+    *,
+    clouds: CloudFiles,
+    count: Count,
+    poses: Poses,
+    files: AnswerFiles,
+    quiet: Quiet = False,
 ) -> int:
-    """Bound the largest number of pairs that a pose brings within a distance.
+    """Bound the largest number of one-to-one pairs that a pose can bring within a distance.
 
-    Exit code: 0 the bounds agree; 2 bad input; 3 they differ; 4 an output
-    file could not be written.
+    The lower bound is the number of pairs at the best pose found. The upper
+    bound is a number that no pose exceeds, which is proven.
+
+    Exit code: 0 the bounds agree; 2 bad input; 3 the bounds differ; 4 an
+    output file could not be written.
     """
-    files.check(*clouds.names.values(), count.candidates_path)
+    files.check(*clouds.names.values(), count.candidates_path, poses.init)
     points = clouds.read(count.model)
     keywords = dict(vars(count))
-    path, threads = keywords.pop("candidates_path"), keywords.pop("threads")
+    path, options = keywords.pop("candidates_path"), {"threads": keywords.pop("threads")}
     keywords["candidates"] = None if path is None else clouds.read_candidates(path)
-    found = run_search(
-        dcreg.max_inliers, *points, quiet=quiet, options={"threads": threads}, **keywords
-    )
+    keywords["pose_range"], options["init"] = poses.settings()
+    found = run_search(dcreg.max_inliers, *points, quiet=quiet, options=options, **keywords)
     code = output.EXIT_OK if found.is_exact else output.EXIT_LIMIT
     return _finish(found, points, clouds, clouds.names, files) or code
 

@@ -202,14 +202,14 @@ def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     """Search the space of the mode, then recover the pose."""
     budget = problem.budget
     searching = budget.sub_budget(search_share(mode)).with_patience(problem.patience_s)
-    attempts = list(_attempts(mode, problem, searching))
-    attempt, found = attempts[-1]
+    tries = list(attempts(Attempt(mode, problem), searching))
+    attempt, found = tries[-1]
     space = attempt.space
     solution = Solution(
         np.empty(0), found.status, found.lower_bound, found.upper_bound, space.scope,
         certified=(box_around(attempt.bound.roots), found),
     )  # fmt: skip
-    for tried, each in attempts:
+    for tried, each in tries:
         solution.add(tried.mode.stage, each)
         solution.stages += map(Stage.confining, each.confined)
         solution.stages += starmap(Stage, each.abandoned_s.items())
@@ -229,10 +229,16 @@ class Attempt:
 
     mode: Mode
     problem: NormalisedProblem
+    space: Any = None  # by default a new one
 
     def __post_init__(self) -> None:
-        self.space = space_of(self.mode, self.problem)
-        self.bound = bound_of(self.mode, self.problem, self.space)
+        if self.space is None:
+            self.space = space_of(self.mode, self.problem)
+
+    @functools.cached_property
+    def bound(self) -> Bound:
+        """The bound of the certified search."""
+        return bound_of(self.mode, self.problem, self.space)
 
     def run(self, budget: Budget, start: Start | None = None) -> Outcome:
         """Minimise the objective over the space."""
@@ -268,22 +274,29 @@ class Attempt:
         return Start(theta, value, spent, budget.elapsed() - began)
 
 
-def _attempts(
-    mode: Mode, problem: NormalisedProblem, budget: Budget
+def attempts(
+    attempt: Attempt, budget: Budget, start: Start | None = None
 ) -> Iterator[tuple[Attempt, Outcome]]:
     """Yield the searches that a problem needs, each with its outcome; the last one gives the pose.
 
     A range of poses with limits is searched with weak bounds near its limits. They are not needed if the
     range contains the best of all poses. So all poses are searched first, unless a pose outside the range
     is clearly better than the best one inside.
+
+    Parameters
+    ----------
+    attempt : Attempt
+        The search of the range.
+    budget : Budget
+    start : Start, optional
+        A known pose of the range. By default, it is searched for.
     """
-    attempt = Attempt(mode, problem)
-    region = problem.region
+    problem, region = attempt.problem, attempt.problem.region
     if region is None or not region.has_limits:
-        yield attempt, attempt.run(budget)
+        yield attempt, attempt.run(budget, start)
         return
-    start = attempt.start(budget)
-    all_poses = replace(mode, stage=ALL_POSES)
+    start = attempt.start(budget) if start is None else start
+    all_poses = replace(attempt.mode, stage=ALL_POSES)
     free = Attempt(all_poses, replace(problem, region=region.without_limits()))
     best = free.start(budget.silent())
     floor, tolerance = 0.0, problem.tolerance

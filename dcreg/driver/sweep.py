@@ -34,18 +34,18 @@ import numpy as np
 from dcreg.assignment.objective import Matched
 from dcreg.driver.downsample import SEARCH_SHARE
 from dcreg.driver.modes import (
-    bound_of,
+    Attempt,
+    attempts,
     recover_pose,
     search_share,
     shifted_rotation,
-    space_of,
 )
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Finish, Setup
 from dcreg.problem import InputError, Problem
 from dcreg.result import Result, Stage
-from dcreg.search import Budget, Event, Interrupted, Tolerance, minimise
+from dcreg.search import Budget, Event, Interrupted, Start, Tolerance
 from dcreg.status import Status
 from dcreg.sweep_result import SweepResult
 
@@ -66,10 +66,6 @@ def sweep_problems(
     """Solve problems that differ in `n_inliers`, given in ascending order; see `dcreg.sweep`."""
     if options.certificate:
         raise InputError("certificate: a sweep keeps none; use register for one n_inliers")
-    if options.init is not None:
-        raise InputError(
-            "init: a sweep uses the poses of its numbers of pairs; use register for a guess"
-        )
     setup = Setup.of(problems, limits, options)
     with setup.budget() as budget:
         solve = _Sweep(setup, budget)
@@ -81,12 +77,11 @@ def sweep_problems(
 
 @dataclass
 class Level:
-    """One cardinality: its problem, its space and its bounds, in normalised units."""
+    """One cardinality: its problem, its search and its bounds, in normalised units."""
 
     at: int
     name: int  # the cardinality as given
-    normalised: NormalisedProblem
-    space: Any
+    attempt: Attempt
     theta: np.ndarray = field(default_factory=lambda: np.empty(0))
     lower_bound: float = 0.0
     upper_bound: float = np.inf
@@ -100,10 +95,18 @@ class Level:
 
     @classmethod
     def of(cls, setup: Setup, at: int, budget: Budget) -> Level:
-        """Prepare the search for ``setup.problems[at]``."""
-        normalised = setup.normalised(at, budget)
+        """Prepare the search for ``setup.problems[at]``, without a cover."""
         name = setup.problems[at].n_inliers
-        return cls(at, name, normalised, space_of(setup.mode, normalised))
+        mode = replace(setup.mode, stage=f"k={name}", make_cover=None)
+        return cls(at, name, Attempt(mode, setup.normalised(at, budget)))
+
+    @property
+    def normalised(self) -> NormalisedProblem:
+        return self.attempt.problem
+
+    @property
+    def space(self) -> Any:
+        return self.attempt.space
 
     @property
     def k(self) -> int:
@@ -173,7 +176,8 @@ class _Sweep:
             began = self.budget.elapsed()
             own = starting.sub_budget(1.0 / (len(self.levels) - at))
             named = own.named(f"start of k={level.name}")
-            level.take(*level.space.start(named, level.tolerance.enough))
+            start = level.attempt.start(named)
+            level.take(start.theta, start.value, start.n_assignments)
             level.descending_s += self.budget.elapsed() - began
         self._exchange()
 
@@ -232,18 +236,17 @@ class _Sweep:
     def _search(self, level: Level, tolerance: Tolerance, budget: Budget) -> None:
         # a proof about a sample says little about all points, which need the time
         patience_s = level.normalised.patience_s if self.setup.is_sampled else None
-        budget = budget.with_patience(patience_s)
-        found = minimise(
-            level.space, bound_of(self.mode, level.normalised, level.space), budget,
-            tolerance=tolerance, start=(level.theta, level.upper_bound), stage=f"k={level.name}",
-        )  # fmt: skip
+        attempt = replace(level.attempt, problem=replace(level.normalised, tolerance=tolerance))
+        start = Start(level.theta, level.upper_bound)
+        for tried, found in attempts(attempt, budget.with_patience(patience_s), start):
+            stage = "search" if tried is attempt else tried.mode.stage
+            level.searches.append(Stage.of(stage, found, tolerance.allowed(found.upper_bound)))
+            level.events += found.events
         better = found.upper_bound < level.upper_bound
         level.take(found.theta, found.upper_bound)
         if found.lower_bound > level.lower_bound:
             level.lower_bound, level.proven_by = found.lower_bound, level.name
         level.stopped_by = found.status
-        level.events = found.events
-        level.searches.append(Stage.of("search", found, tolerance.allowed(found.upper_bound)))
         if better:
             self._exchange()
 

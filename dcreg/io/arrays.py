@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def read_npy(stream: BinaryIO, _: str | None) -> Points:
     """Read the array of an ``.npy`` file."""
-    array = _loaded(stream, partial(np.load, allow_pickle=False))
+    array = loaded(stream, partial(np.load, allow_pickle=False))
     if not isinstance(array, np.ndarray):
         fail("holds several arrays", "rename it to .npz")
     return Points(_real(array))
@@ -30,7 +30,7 @@ def read_npz(stream: BinaryIO, key: str | None) -> Points:
 
 def npz_cloud(stream: BinaryIO, key: str | None) -> tuple[str, np.ndarray]:
     """Return the name and the array of the point cloud of an ``.npz`` file."""
-    arrays = _loaded(stream, partial(_npz_arrays, key=key))
+    arrays = loaded(stream, partial(_npz_arrays, key=key))
     if arrays is None:
         fail("holds a single array", "rename it to .npy")
     return _pick(stream, arrays, key)
@@ -57,10 +57,10 @@ def read_mat(stream: BinaryIO, key: str | None) -> Points:
     """Read the array `key` of a MATLAB file up to v7, or its only point cloud."""
     from dcreg.io import matlab  # few calls need it
 
-    return Points(_pick(stream, _loaded(stream, matlab.load), key)[1])
+    return Points(_pick(stream, loaded(stream, matlab.load), key)[1])
 
 
-def _loaded(stream: BinaryIO, load: Callable[[BinaryIO], Any]) -> Any:
+def loaded(stream: BinaryIO, load: Callable[[BinaryIO], Any]) -> Any:
     """Load a file with a reader of another library, which may raise anything on damage."""
     try:
         return load(stream)

@@ -50,7 +50,7 @@ def text_body(content: bytes, start: int, skip: int, count: int, after: int = 0)
     """Return `count` text rows of the body, which follow `skip` rows and precede `after` rows."""
     lines = lines_of(content[start:])
     rows = list(rows_of(lines, content[:start].count(b"\n") + 1))
-    _check_count(count, max(0, len(rows) - skip), max(0, len(rows) - skip - after))
+    check_count(count, max(0, len(rows) - skip), max(0, len(rows) - skip - after))
     return rows[skip : skip + count]
 
 
@@ -60,7 +60,7 @@ def binary_body(
     """Return `count` binary records at `start`, which precede `after` bytes."""
     size = max(0, len(content) - start)
     own = None if after is None else max(0, size - after) // record.itemsize
-    _check_count(count, size // record.itemsize, own)
+    check_count(count, size // record.itemsize, own)
     return np.frombuffer(content, record, count, start)
 
 
@@ -68,7 +68,7 @@ def _columns_of(table: np.ndarray, columns: list[int]) -> Points:
     return Points(np.column_stack([table[f"{column}"].reshape(len(table)) for column in columns]))
 
 
-def _check_count(announced: int, available: int, own: int | None = None) -> None:
+def check_count(announced: int, available: int, own: int | None = None) -> None:
     """Refuse a file with fewer points than its header announces, or with more `own` ones."""
     counts = f"the header announces {announced} points, the file holds"
     if available < announced:
@@ -372,7 +372,7 @@ def read_off(stream: BinaryIO, _: str | None) -> Points:
     n_points, n_faces = (*map(natural, counts), None, None)[:2]
     if n_points is None:
         fail(f"line {line} states no number of vertices", EXPORT)
-    _check_count(n_points, len(rows), None if n_faces is None else len(rows) - n_faces)
+    check_count(n_points, len(rows), None if n_faces is None else len(rows) - n_faces)
     vertices = rows[:n_points]
     width = max(len(vertices[0][1]), 3) if vertices else 3
     return numbers_of(vertices, [0, 1, 2], width)

@@ -47,7 +47,7 @@ def write_moved(
     path : str or Path
         A ``.ply .pcd .xyz .txt .csv .npy .npz`` file. It is written completely or not at all.
     key : str, optional
-        Name of the array in an ``.npz`` or ``.mat`` source.
+        Name of the array in an ``.npz`` or ``.mat`` source, or number of the scan in an ``.e57`` source.
 
     Raises
     ------

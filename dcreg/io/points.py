@@ -11,9 +11,10 @@ import numpy as np
 
 from dcreg.io.arrays import read_mat, read_npy, read_npz
 from dcreg.io.mesh import read_off, read_pcd, read_ply
+from dcreg.io.scans import read_e57, read_las
 from dcreg.io.text import DIMENSIONS, Points, fail, naming, read_text
 
-# Every reader takes the file and the name of an array; only archives have named arrays.
+# Every reader takes the file and a key, the name of an array or the number of a scan.
 READERS: dict[str, Callable[[BinaryIO, str | None], Points]] = {
     ".txt": read_text,
     ".csv": read_text,
@@ -24,8 +25,11 @@ READERS: dict[str, Callable[[BinaryIO, str | None], Points]] = {
     ".ply": read_ply,
     ".pcd": read_pcd,
     ".off": read_off,
+    ".las": read_las,
+    ".laz": read_las,
+    ".e57": read_e57,
 }
-KEYED_SUFFIXES = (".npz", ".mat")
+KEYED_SUFFIXES = (".npz", ".mat", ".e57")
 MAX_ROWS = 2**31  # of a cloud
 
 
@@ -37,10 +41,12 @@ def read_points(
     Parameters
     ----------
     path : str or Path
-        A ``.txt .csv .xyz .npy .npz .mat .ply .pcd .off`` file. For ``.npz`` and ``.mat`` the
-        array may be named as ``file.npz:key``.
+        A ``.txt .csv .xyz .npy .npz .mat .ply .pcd .off .las .laz .e57`` file. For ``.npz``,
+        ``.mat`` and ``.e57`` the key may follow the name: ``file.npz:key``.
     key : str, optional
-        Name of the array in an ``.npz`` or ``.mat`` file; needed only if several arrays qualify.
+        Name of the array in an ``.npz`` or ``.mat`` file; needed only if several arrays qualify. In an
+        ``.e57`` file the number of a scan, from 0; by default all scans are read, in the coordinates
+        that they share.
     keep_invalid : bool
         Return points with NaN or infinity as well. By default, they are an error.
 
@@ -52,7 +58,8 @@ def read_points(
     Raises
     ------
     InputError
-        If the file is missing, damaged, empty, not finite, ambiguous or of the wrong dimension.
+        If the file is missing, damaged, empty, not finite, ambiguous or of the wrong dimension, or if a
+        package that reads it is not installed.
     """
     path, key = split_key(path, key)
     suffix = path.suffix.lower()
@@ -62,7 +69,7 @@ def read_points(
         if suffix not in READERS:
             fail(f"unknown extension '{path.suffix}'", f"use one of: {' '.join(READERS)}")
         if key is not None and suffix not in KEYED_SUFFIXES:
-            fail(f"key '{key}' given, but {suffix} files hold no named arrays", "drop the key")
+            fail(f"key '{key}' given, but {suffix} files have none", "drop the key")
         try:
             # NaN and infinity are found later, also those that a conversion of numbers makes
             with path.open("rb") as stream, np.errstate(all="ignore"):

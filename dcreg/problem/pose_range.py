@@ -17,7 +17,7 @@ _RIGID = 1e-4  # deviation of a given matrix from a rotation that counts as its 
 
 @dataclass(frozen=True)
 class PoseRange:
-    """The poses that `dcreg.register` may return, relative to a reference pose.
+    """The poses that a search may return, relative to a reference pose.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """Is the answer the only one? All distinct poses that are nearly as good, or the proof of none.
 
-After a solve, the objective is minimised over all poses that are farther than a distance from those found
-so far (`dcreg.families.region.Far`). The search ends with another pose below the threshold, which joins
-the list, or with the proof that there is none.
+After a solve, the objective is minimised over all poses that are distinct from those found so far: they
+displace the source points by more than a given length (`dcreg.families.region.Far`). The search ends with
+another pose below the threshold, which joins the list, or with the proof that there is none.
 """
 
 from __future__ import annotations
@@ -33,9 +33,8 @@ from dcreg.questions.other_poses import Search
 from dcreg.result import Result
 from dcreg.status import Status
 
-SMALLEST_DISTANCE = (
-    1e-6  # in RMS radii of the target; poses nearer than this may differ by rounding
-)
+# In RMS radii of the target. Poses with a smaller displacement may differ by rounding.
+SMALLEST_DISPLACEMENT = 1e-6
 SOLVE_SHARE = 0.5  # of the time, for the best pose
 
 
@@ -69,21 +68,21 @@ class Alternatives(Answer):
         ``optimal`` if the list is proven to be complete.
     result : Result
         The best pose.
-    distance : float
-        Poses count as distinct if they displace the source points by more than this (RMS), in units of
-        the target.
+    min_displacement : float
+        Two poses are distinct if the RMS displacement of the source points between them exceeds this
+        length, in units of the target.
     threshold : float
         The objective up to which poses are listed, in squared units of the target.
     lower_bound : float
-        No pose farther than `distance` from all listed ones has a lower objective.
+        No pose that is distinct from all listed ones has a lower objective.
     others : list of Alternative
-        Each farther than `distance` from the best pose and from those before it.
+        Each is distinct from the best pose and from those before it.
     time_s : float
     """
 
     status: Status
     result: Result
-    distance: float
+    min_displacement: float
     threshold: float
     lower_bound: float
     others: list[Alternative]
@@ -116,7 +115,9 @@ class Alternatives(Answer):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        names = ("status", "is_complete", "is_unique", "distance", "threshold", "lower_bound")
+        names = (
+            "status", "is_complete", "is_unique", "min_displacement", "threshold", "lower_bound",
+        )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         others = [vars(each) for each in self.others]
         return plain({**values, "others": others, "result": self.result.to_dict()})
@@ -124,7 +125,7 @@ class Alternatives(Answer):
     def entries(self) -> Iterator[tuple[str, str]]:
         """Yield names and values of the summary; every warning is an entry of that name."""
         yield "answer", self.answer
-        yield "distinct from", f"an RMS displacement of {self.distance:.4g}"
+        yield "distinct if", f"displaced by more than {self.min_displacement:.4g} (RMS)"
         yield "threshold", f"objective {self.threshold:.6g}"
         if not self.is_complete:
             yield "lower bound", f"{self.lower_bound:.6g} of any pose that is not listed"
@@ -160,8 +161,8 @@ def alternatives(
     n_inliers: int | float,
     model: str,
     ratio: float = DEFAULT_RATIO,
-    distance: float | None = None,
-    most: int = 20,
+    min_displacement: float | None = None,
+    max_others: int = 20,
     scale_range: tuple[float, float] | None = None,
     candidates: Candidates | None = None,
     rel_gap: float = DEFAULT_REL_GAP,
@@ -174,9 +175,9 @@ def alternatives(
 ) -> Alternatives:
     """Find all distinct poses that are nearly as good as the best one, or prove that there is none.
 
-    Solves the problem of `dcreg.register`, then minimises over all poses that are farther than `distance`
-    from those found so far, until the minimum is proven to exceed the threshold: `ratio` times the upper
-    bound, at least ``n_inliers * (distance / 3)^2``.
+    Solves the problem of `dcreg.register`. It then minimises over all poses that are distinct from those
+    found so far, until the minimum is proven to exceed the threshold. The threshold is `ratio` times the
+    upper bound, at least ``n_inliers * (min_displacement / 3)^2``.
 
     Parameters
     ----------
@@ -184,12 +185,12 @@ def alternatives(
         As in `dcreg.register`. Clouds that `register` would sample are refused.
     ratio : float
         A pose is nearly as good if its objective is at most this multiple of the best one; at least 1.
-    distance : float, optional
-        Poses are distinct if the RMS displacement of the source points between them exceeds this length,
-        in units of the target. Default: three RMS residuals of the best pose, at least 1 % of the RMS
-        radius of the target.
-    most : int
-        The search ends with this many other poses. A sphere has infinitely many.
+    min_displacement : float, optional
+        Two poses are distinct if the RMS displacement of the source points between them exceeds this
+        length, in units of the target. Default: three RMS residuals of the best pose, at least 1 % of the
+        RMS radius of the target.
+    max_others : int
+        The search ends when it has found this many other poses. A sphere has infinitely many.
     rel_gap, abs_gap, tol, node_limit, memory_limit_mb
         As in `dcreg.register`; tolerances are those of the best pose, and limits those of each search.
     time_limit : float, optional
@@ -219,8 +220,9 @@ def alternatives(
     problem = Problem(source, target, n_inliers, model, scale_range, candidates)
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
     return find_alternatives(
-        problem, limits, SolveOptions.of(options), ratio=ratio, distance=distance, most=most
-    )
+        problem, limits, SolveOptions.of(options), ratio=ratio, min_displacement=min_displacement,
+        max_others=max_others,
+    )  # fmt: skip
 
 
 def find_alternatives(
@@ -229,11 +231,11 @@ def find_alternatives(
     options: SolveOptions,
     *,
     ratio: float,
-    distance: float | None,
-    most: int,
+    min_displacement: float | None,
+    max_others: int,
 ) -> Alternatives:
     """Solve a problem, then search for other poses; see `dcreg.alternatives`."""
-    _check(problem, options, ratio, distance, most)
+    _check(problem, options, ratio, min_displacement, max_others)
     setup = Setup.of([problem], limits, options)
     if setup.is_sampled:
         raise InputError(
@@ -253,8 +255,9 @@ def find_alternatives(
         solution.events = solving.history
         best, minima = (solution.T, solution.upper_bound), solution.minima
         result = Finish(setup, 0, normalised, solving, solving).result(solution)
-        search = Search(setup, result, replace(normalised, budget=budget), distance, ratio)
-        status, lower_bound, known = search.run(best, minima, budget, most)
+        searched = replace(normalised, budget=budget)
+        search = Search(setup, result, searched, min_displacement, ratio)
+        status, lower_bound, known = search.run(best, minima, budget, max_others)
         others = [_described(setup, result, *each) for each in known[1:]]
         return Alternatives(
             status, result, search.distance, search.threshold, lower_bound * setup.frame.area, others,
@@ -263,12 +266,16 @@ def find_alternatives(
 
 
 def _check(
-    problem: Problem, options: SolveOptions, ratio: float, distance: float | None, most: int
+    problem: Problem,
+    options: SolveOptions,
+    ratio: float,
+    min_displacement: float | None,
+    max_others: int,
 ) -> None:
     check_positive("ratio", ratio, minimum=1.0, optional=False)
-    smallest = SMALLEST_DISTANCE * (rms_radius(problem.target) or 1.0)
-    check_positive("distance", distance, minimum=smallest)
-    check_positive("most", most, such_as=20, optional=False)
+    smallest = SMALLEST_DISPLACEMENT * (rms_radius(problem.target) or 1.0)
+    check_positive("min_displacement", min_displacement, minimum=smallest)
+    check_positive("max_others", max_others, such_as=20, optional=False)
     if problem.pose_range is not None:
         raise InputError("pose_range: alternatives are searched among all poses; omit it")
     if problem.model == "similarity3d":

@@ -17,7 +17,7 @@ from dcreg.result import Result
 from dcreg.search import Budget, Start, Tolerance
 from dcreg.status import Status
 
-# Default distance at which poses count as distinct: RMS residuals, and at least a share of the size.
+# Default displacement at which poses are distinct: RMS residuals, and at least a share of the size.
 RESIDUALS, SHARE_OF_SIZE = 3.0, 0.01
 STAGE = "other poses"  # in events
 # Shares of the distance beyond which stationary poses are searched; the first that suffices is the
@@ -45,14 +45,14 @@ class Search:
         setup: Setup,
         result: Result,
         normalised: NormalisedProblem,
-        distance: float | None,
+        min_displacement: float | None,
         ratio: float,
     ) -> None:
         self.setup, self.result, self.normalised = setup, result, normalised
         problem = setup.problems[0]
         size = rms_radius(problem.target) or rms_radius(problem.source) or 1.0
         residual = math.sqrt(result.upper_bound / result.n_inliers)
-        self.distance = distance or max(RESIDUALS * residual, SHARE_OF_SIZE * size)
+        self.distance = min_displacement or max(RESIDUALS * residual, SHARE_OF_SIZE * size)
         own = result.n_inliers * (self.distance / RESIDUALS) ** 2
         self.threshold = max(ratio * result.upper_bound, own)
 
@@ -61,7 +61,7 @@ class Search:
         best: Known,
         minima: list[Known],
         budget: Budget,
-        most: int,
+        max_others: int,
     ) -> tuple[Status, float, list[Known]]:
         """Search until no further pose is below the threshold, or until a limit.
 
@@ -83,7 +83,7 @@ class Search:
                 status = Status.OPTIMAL if is_complete else found.status
                 break
             known.append(found.pose)
-            if len(known) > most:
+            if len(known) > max_others:
                 status = Status.CONVERGED
                 break
         return status, lower_bound, known

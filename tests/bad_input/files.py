@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -201,6 +202,9 @@ MAT = {
 }  # fmt: skip
 EMPTY = {".npy": "save it again", ".npz": "save it again", ".mat": "save -v7"}
 EMPTY |= {".txt": "give one point", ".csv": "give one point", ".xyz": "give one point"}
+PACKAGES = {".las": "laspy", ".laz": "laspy", ".e57": "pye57"}  # which need not be installed
+UNREADABLE = [suffix for suffix, package in PACKAGES.items() if find_spec(package) is None]
+EMPTY |= dict.fromkeys(PACKAGES, "save it again") | dict.fromkeys(UNREADABLE, "pip install")
 
 
 def _case(name: str, file: str, content: bytes | None, *words: str) -> Case:
@@ -226,12 +230,9 @@ def _cases() -> Iterator[Case]:
         yield _case(f"{suffix} folder", file, None, "is a folder", "give the path of a point file")
         yield _case(f"{suffix} empty", file, b"", EMPTY.get(suffix, "export the file again"))
         noise = np.random.default_rng(0).bytes(4000)
-        yield _case(
-            f"{suffix} noise",
-            file,
-            noise,
-            *(["sav"] if suffix in EMPTY or suffix == ".off" else ["export"]),
-        )
+        remedy = "sav" if suffix in EMPTY or suffix == ".off" else "export"
+        remedy = "pip install" if suffix in UNREADABLE else remedy
+        yield _case(f"{suffix} noise", file, noise, remedy)
     for suffix in (".txt", ".csv", ".xyz"):
         for name, (content, *words) in (TEXT | (NARROW if suffix != ".xyz" else {})).items():
             yield _case(f"{suffix} {name}", f"bad{suffix}", content, *words)
@@ -263,7 +264,7 @@ def _cases() -> Iterator[Case]:
         ):
             run = register(source=f"{file}:{key}")
             yield Case("files", f"{suffix} {name}", run, [file, *words], {file: pack(a=A2, t="w")})
-    for suffix in (".las", ".stl", ".obj", ".xlsx", ".json", ".gz", ".ply2", ""):
+    for suffix in (".pts", ".stl", ".obj", ".xlsx", ".json", ".gz", ".ply2", ""):
         words = f"unknown extension '{suffix}'", "use one of: .txt .csv"
         yield _case(f"unknown extension {suffix or 'none'}", f"bad{suffix}", b"1 2\n", *words)
     for suffix in (".txt", ".ply", ".npy"):

@@ -35,13 +35,13 @@ def check_max_rms(number: int) -> Checked:
 
 
 def check_certify(number: int) -> Checked:
-    """Is this pose optimal? It is the fit to some matching, or a rough one."""
-    one = small(number)
+    """Is this pose optimal, of all or in a range? It is the fit to some matching, or a rough one."""
+    one = small(number, with_range=number % 4 == 1)
     p, eps = one.problem, one.rounding()
     fits = sorted(one.fits(), key=lambda fit: fit[0])
     rng = np.random.default_rng([8, number])
     T = fits[min(int(rng.integers(4)) ** 2, len(fits) - 1)][1].copy()
-    if number % 5 == 0:
+    if number % 5 == 0 and p.pose_range is None:
         T[:-1, -1] += 0.05 * rng.standard_normal(p.dim)
     found = dcreg.certify(p.source, p.target, T, **one.keywords)
     value, _ = dcreg.objective(p.source, p.target, T, p.n_inliers)
@@ -68,18 +68,20 @@ def check_alternatives(number: int) -> Checked:
         value, _ = dcreg.objective(p.source, p.target, T, p.n_inliers)
         if value > found.threshold + eps:
             faults.append(f"pose {at} has the objective {value} > {found.threshold}")
-        if min(_apart(p.source, T, other) for other in listed[:at]) < found.distance * (1 - 1e-6):
+        if min(_apart(p.source, T, other) for other in listed[:at]) < found.min_displacement * (
+            1 - 1e-6
+        ):
             faults.append(f"pose {at} is not distinct")
     if found.is_complete:
         for value, T in one.fits():
             if value <= found.threshold - eps:
                 gap = min(_apart(p.source, T, other) for other in listed)
-                if gap > found.distance * (1 + 1e-6):
+                if gap > found.min_displacement * (1 + 1e-6):
                     faults.append(
                         f"a pose with {value} <= {found.threshold} is missing ({gap} away)"
                     )
                     break
-        faults += _beyond(one, found.distance, listed, found.lower_bound)
+        faults += _beyond(one, found.min_displacement, listed, found.lower_bound)
     words = "unique" if found.is_unique else f"{'all' if found.is_complete else 'at least'}"
     return words, faults
 
@@ -105,7 +107,7 @@ def _beyond(one: Small, distance: float, listed: list[np.ndarray], lower_bound: 
 
 def check_max_inliers(number: int) -> Checked:
     """How many pairs fit at most? No fit to a matching may bring more within the distance."""
-    one = small(number)
+    one = small(number, with_range=number % 4 == 1)
     p = one.problem
     distance = (0.02, 0.1, 0.3, 1.0)[number // 3 % 4]
     keywords = {key: value for key, value in one.keywords.items() if key != "n_inliers"}
@@ -116,6 +118,8 @@ def check_max_inliers(number: int) -> Checked:
         faults.append("a pair is farther than the distance")
     if len(set(rows)) != found.at_least or len(set(columns)) != found.at_least:
         faults.append("the pairs are not one to one")
+    if _within(p.source, p.target, found.T_target_source, 0.999 * distance) > found.at_least:
+        faults.append("the pose has more pairs within the distance than are counted")
     reached = max(_within(p.source, p.target, T, distance) for _, T in one.fits())
     if reached > found.at_most:
         faults.append(f"at most {found.at_most}, but a pose has {reached}")
@@ -130,9 +134,30 @@ def _within(source: np.ndarray, target: np.ndarray, T: np.ndarray, distance: flo
 def check_range(number: int) -> Checked:
     """The best pose of a range: bounds on both sides of the optimum of all matchings."""
     one = small(number, with_range=True)
+    p = one.problem
+    found = dcreg.register(p.source, p.target, **one.keywords)
+    return found.status.value, _in_range(one, found)
+
+
+def check_sweep(number: int) -> Checked:
+    """The best poses of a range for several numbers of pairs."""
+    one = small(number, with_range=True)
+    p, keywords = one.problem, one.keywords
+    most = keywords.pop("n_inliers")
+    counts = range(max(1, most - 2), most + 1)
+    found = dcreg.sweep(p.source, p.target, counts, **keywords)
+    faults = [
+        f"k={count}: {fault}"
+        for count, result in zip(counts, found.results, strict=True)
+        for fault in _in_range(one.with_n_inliers(count), result)
+    ]
+    return found.status.value, faults
+
+
+def _in_range(one: Small, found: dcreg.Result) -> list[str]:
+    """Compare a pose of a range and its bounds with the optimum of all matchings."""
     p, eps = one.problem, one.rounding()
     assert p.pose_range is not None
-    found = dcreg.register(p.source, p.target, pose_range=p.pose_range, **one.keywords)
     optimum, faults = min(value for value, _ in one.fits()), []
     if not p.pose_range.contains(found.T_target_source):
         faults.append(f"the pose {found.T_target_source.tolist()} is outside the range")
@@ -142,7 +167,7 @@ def check_range(number: int) -> Checked:
         faults.append(f"upper bound {found.upper_bound} below the optimum {optimum}")
     if found.status is Status.OPTIMAL and found.upper_bound > optimum + found.gap_tol + eps:
         faults.append(f"optimal with {found.upper_bound}, but the optimum is {optimum}")
-    return found.status.value, faults
+    return faults
 
 
 CHECKS: dict[str, Callable[[int], Checked]] = {
@@ -151,6 +176,7 @@ CHECKS: dict[str, Callable[[int], Checked]] = {
     "alternatives": check_alternatives,
     "max_inliers": check_max_inliers,
     "range": check_range,
+    "sweep": check_sweep,
 }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,12 +36,17 @@ class Small:
 
     @property
     def keywords(self) -> dict[str, Any]:
-        """What `register`, `certify` and `alternatives` share."""
+        """What `register`, `certify` and, without a range, `alternatives` share."""
         p = self.problem
+        ranges = {} if p.pose_range is None else {"pose_range": p.pose_range}
         return {
             "n_inliers": p.n_inliers, "model": p.model, "time_limit": TIME_LIMIT,
-            "scale_range": p.scale_range,
+            "scale_range": p.scale_range, **ranges,
         }  # fmt: skip
+
+    def with_n_inliers(self, count: int) -> Small:
+        """Return the problem for another number of pairs."""
+        return replace(self, problem=self.problem.with_n_inliers(count))
 
     def fits(self) -> list[tuple[float, np.ndarray]]:
         """Return the best pose of every matching with its objective for this matching."""

@@ -6,7 +6,9 @@ import pytest
 
 from tests.questions.checks import CHECKS
 
-COUNTS = {"max_rms": 30, "certify": 30, "alternatives": 18, "max_inliers": 30, "range": 30}
+COUNTS = {
+    "max_rms": 30, "certify": 30, "alternatives": 18, "max_inliers": 30, "range": 30, "sweep": 12,
+}  # fmt: skip
 OPEN = ("open", "at least", "interval", "time_limit", "converged")
 
 

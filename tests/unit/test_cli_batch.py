@@ -12,7 +12,7 @@ import pytest
 
 import dcreg
 from dcreg.cli import batch
-from dcreg.cli.options import Search
+from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Task, failed
 from dcreg.cli.workers import solve_all
 from tests.results import run
@@ -121,6 +121,16 @@ def test_2d_with_a_fixed_scale(table, tmp_path):
     assert len(edge) == 3 + 3 + 6
 
 
+def test_every_pair_has_the_range_of_poses(table):
+    outcome = call(table, "--no-rotation")
+    assert outcome.exit_code in (0, 3), outcome.output
+    for row in rows(table):
+        np.testing.assert_allclose(pose(row)[:3, :3], np.eye(3), atol=1e-9)
+    outcome = call(table, "--axis", "up")
+    assert (outcome.exit_code, outcome.stdout) == (2, "")
+    assert "--axis: 'up' is not a direction" in outcome.stderr
+
+
 def test_a_failed_pair_does_not_stop_the_others(table, tmp_path):
     np.savetxt(table.parent / "nan.txt", np.full((5, 3), np.nan))
     scan = np.loadtxt(table.parent / "0.txt")
@@ -156,7 +166,7 @@ class Ends:
 def test_a_crash_costs_only_its_pair(table):
     search = Search(model="rigid3d")
     files = [str(table.parent / f"{i}.txt") for i in range(2)]
-    good = Task(2, *files, "5", search, drop_invalid=False)
+    good = Task(2, *files, "5", search, Poses(), drop_invalid=False)
     tasks = [Ends(os._exit, (7,)), Ends(signal.raise_signal, (signal.SIGKILL,)), good]
     found = [row for _, row in solve_all(tasks, 1, lambda: False)]
     assert found[0]["error"] == "the process ended with code 7"
@@ -211,7 +221,8 @@ def test_other_files_and_options_are_solved_again(table, solved):
     assert [task.place for task in solved] == [0, 1, 0]
     call(table, "--time-limit", "7")
     call(table, "--drop-invalid")
-    assert len(solved) == 7
+    call(table, "--max-angle", "100")
+    assert len(solved) == 9
     assert len(rows(table)) == 2
 
 

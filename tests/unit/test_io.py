@@ -2,6 +2,8 @@
 
 import contextlib
 import struct
+import sys
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from scipy.io import loadmat, savemat
 
 from dcreg.io import matlab, read_points
 from dcreg.io.mesh import lzf_decompress
+from dcreg.io.moved import write_moved
 from dcreg.problem import InputError
 
 POINTS3 = np.array([[0.5, -1.0, 2.0], [3.25, 4.0, -5.5], [1e-3, 0.0, 7.0], [8.0, 9.0, 10.0]])
@@ -315,6 +318,94 @@ def test_off(tmp_path, head):
     np.testing.assert_array_equal(read_points(path), POINTS3)
 
 
+# --- laser scans ----------------------------------------------------------------------------------
+
+IN_A_MAP = POINTS3 + np.array([500_000.0, 5_400_000.0, 300.0])
+ROUNDING = 2e-9  # of coordinates of this size
+
+
+def las(path, points):
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=3, version="1.2")
+    header.scales, header.offsets = np.full(3, 1e-3), np.array([500_000.0, 5_400_000.0, 0.0])
+    cloud = laspy.LasData(header)
+    cloud.xyz = points
+    cloud.write(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_las(tmp_path, suffix):
+    path = las(tmp_path / f"a{suffix}", IN_A_MAP)
+    points = read_points(path)
+    assert points.dtype == np.float64
+    np.testing.assert_allclose(points, IN_A_MAP, rtol=0, atol=ROUNDING)
+    pose = np.eye(4)
+    pose[:3, 3] = -500_000.0, -5_400_000.0, -300.0
+    write_moved(path, pose, tmp_path / "moved.ply")
+    np.testing.assert_allclose(read_points(tmp_path / "moved.ply"), POINTS3, rtol=0, atol=ROUNDING)
+
+
+def test_a_las_file_that_is_cut_off_is_refused(tmp_path):
+    path = las(tmp_path / "a.las", IN_A_MAP)
+    content, record = path.read_bytes(), 34
+    with pytest.raises(InputError, match="announces 4 points, the file holds 3"):
+        read_points(write(path, content[:-record]))
+    with pytest.raises(InputError, match=r"not a readable \.las file"):
+        read_points(write(path, content[:-1]))
+
+
+def test_e57(tmp_path):
+    """Every scan is moved by its pose; invalid points are left out."""
+    pye57 = pytest.importorskip("pye57")
+    path = tmp_path / "a.e57"
+    quarter = np.array([1.0, 0.0, 0.0, 1.0]) / np.sqrt(2.0)  # about z
+    with pye57.E57(str(path), "w") as file:
+        for shift, state in ((0.0, [0, 0, 0, 0]), (50.0, [0, 2, 0, 0])):
+            columns = {f"cartesian{axis}": POINTS3[:, at] for at, axis in enumerate("XYZ")}
+            columns["cartesianInvalidState"] = np.array(state, dtype=np.int8)
+            file.write_scan_raw(columns, rotation=quarter, translation=np.array([shift, 5.0, 6.0]))
+    x, y, z = POINTS3.T
+    turned = np.column_stack([-y, x + 5.0, z + 6.0])
+    second = turned[[0, 2, 3]] + [50.0, 0.0, 0.0]
+    for key, expected in (("0", turned), ("1", second), (None, np.vstack([turned, second]))):
+        np.testing.assert_allclose(read_points(path, key=key), expected, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(read_points(f"{path}:1"), read_points(path, key="1"))
+    with pytest.raises(InputError, match=r"no scan '2'; choose one of: 0, 1"):
+        read_points(f"{path}:2")
+
+
+@pytest.mark.parametrize("counted", ["records", "chunks"])
+def test_damaged_counts_of_a_laz_file_are_refused(tmp_path, counted):
+    """With so many records laspy reads for hours; with so many chunks lazrs ends the process."""
+    path = las(tmp_path / "a.laz", IN_A_MAP)
+    content = bytearray(path.read_bytes())
+    start, place = struct.unpack_from("<I", content, 96)[0], 100
+    if counted == "chunks":
+        place = struct.unpack_from("<q", content, start)[0] + 4  # in the table, after its version
+    struct.pack_into("<I", content, place, 2**32 - 2)
+    with pytest.raises(InputError, match=f"4294967294 {counted}"):
+        read_points(write(path, bytes(content)))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "package", "extra"),
+    [(".las", "laspy", "las"), (".laz", "laspy", "las"), (".e57", "pye57", "e57")],
+)
+def test_a_missing_reader_is_named(tmp_path, monkeypatch, suffix, package, extra):
+    monkeypatch.setitem(sys.modules, package, None)
+    path = write(tmp_path / f"a{suffix}", b"LASF")
+    with pytest.raises(InputError, match=rf"package {package}, .* pip install 'dcreg\[{extra}\]'"):
+        read_points(path)
+
+
+def test_a_missing_decompressor_is_named(tmp_path, monkeypatch):
+    path = las(tmp_path / "a.laz", IN_A_MAP)
+    monkeypatch.setitem(sys.modules, "lazrs", None)
+    with pytest.raises(InputError, match="package lazrs, which is not installed"):
+        read_points(path)
+
+
 # --- anything -------------------------------------------------------------------------------------
 
 
@@ -322,7 +413,10 @@ def test_off(tmp_path, head):
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
-    suffix=st.sampled_from([".txt", ".xyz", ".npy", ".npz", ".mat", ".ply", ".pcd", ".off"]),
+    suffix=st.sampled_from(
+        [".txt", ".xyz", ".npy", ".npz", ".mat", ".ply", ".pcd", ".off"]
+        + [".las", ".laz"] * (find_spec("laspy") is not None)
+    ),
     seed=st.integers(0, 2**32 - 1),
     data=st.data(),
 )
@@ -356,6 +450,8 @@ def _valid(tmp_path, suffix, data):
         np.savez_compressed(path, a=POINTS3)
     elif suffix == ".mat":
         savemat(path, {"a": POINTS3})
+    elif suffix in (".las", ".laz"):
+        las(path, IN_A_MAP)
     else:
         path.write_text("4\n" + rows(POINTS3))
     return path.read_bytes()

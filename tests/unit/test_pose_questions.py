@@ -113,7 +113,7 @@ def test_a_shape_without_symmetry_has_one_pose():
 
 def test_a_line_has_more_poses_than_are_listed():
     line = np.outer(np.linspace(-1, 1, 6), [1.0, 0.0, 0.0])
-    found = dcreg.alternatives(line, line, n_inliers=6, model="rigid3d", most=1)
+    found = dcreg.alternatives(line, line, n_inliers=6, model="rigid3d", max_others=1)
     assert len(found.others) == 1
     assert not found.is_complete
     assert "stopped at the given number" in found.answer
@@ -140,10 +140,10 @@ def test_an_exact_fit_meets_every_residual_and_a_refuted_one_stays_refuted():
     ("given", "words"),
     [
         ({"ratio": 0.5}, "ratio"),
-        ({"distance": -1.0}, "distance"),
-        ({"distance": 1e-12}, "distance"),
+        ({"min_displacement": -1.0}, "min_displacement"),
+        ({"min_displacement": 1e-12}, "min_displacement"),
         ({"options": dcreg.SolveOptions(downsample=10)}, "a sample"),
-        ({"most": 0}, "most"),
+        ({"max_others": 0}, "max_others"),
         ({"options": dcreg.SolveOptions(mode="paper")}, "cannot search for other poses"),
         ({"options": dcreg.SolveOptions(certificate=True)}, "certificate"),
     ],
@@ -214,11 +214,13 @@ def test_an_initial_guess_does_not_change_the_answer(best, extra):
         assert inverse.objective == pytest.approx(best.objective, rel=0.02)
 
 
-def test_a_sweep_takes_no_guess():
-    with pytest.raises(dcreg.InputError, match="init: a sweep"):
-        dcreg.sweep(
-            SOURCE, TARGET, [10, 20], model="rigid3d", options=dcreg.SolveOptions(init=POSE)
-        )
+def test_a_sweep_begins_with_a_guess(best):
+    events = []
+    options = dcreg.SolveOptions(init=best.T_target_source, listener=events.append)
+    found = dcreg.sweep(SOURCE, TARGET, [19, 20], model="rigid3d", options=options)
+    assert found.results[1].objective == pytest.approx(best.objective)
+    first = next(event.upper_bound for event in events if event.stage == "start of k=20")
+    assert first == pytest.approx(best.upper_bound, rel=1e-6)
 
 
 def test_no_event_has_the_objective_of_a_pose_outside_the_range():
@@ -335,6 +337,31 @@ def test_questions_on_the_command_line(files):
         assert "<html" in (files / "o.html").read_text()
 
 
+def test_ranges_are_options_of_all_searches(files):
+    """The pose that fits is outside the range, except for one about the true axis."""
+    clouds = [str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d", "--quiet"]
+    out, pairs = files / "o.json", ["--n-inliers", "20", "--node-limit", "50"]
+    within = ["--distance", "0.05", "--time-limit", "0.5"]
+    axis = ",".join(map(str, Rotation.from_matrix(TURN).as_rotvec()))
+    for options, fits in (
+        (["--axis", axis], True),
+        (["--axis", "0,0,1", "--max-angle", "20"], False),
+    ):
+        ran = run("sweep", *clouds, *pairs, *options, "--out", str(out))
+        assert ran.exit_code in (0, 3), ran.output
+        (result,) = json.loads(out.read_text())["results"]
+        assert (result["rmse_matched"] < 0.03) == fits
+        ran = run("max-inliers", *clouds, *within, *options, "--json", str(out))
+        assert ran.exit_code in (0, 3), ran.output
+        assert (json.loads(out.read_text())["at_least"] == 20) == fits
+        ran = run("certify", str(files / "pose.txt"), *clouds, *pairs, *options)
+        assert ("outside pose_range" in ran.output) != fits, ran.output
+    ran = run(
+        "certify", str(files / "pose.txt"), *clouds, *pairs, "--init", str(files / "pose.txt")
+    )
+    assert "--init: the given pose is the initial guess" in ran.output
+
+
 def test_a_refuted_residual_has_its_exit_code(files):
     ran = run(
         "register", str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d",
@@ -353,9 +380,10 @@ def test_a_refuted_residual_has_its_exit_code(files):
         (["--init", "none.txt"], "no such file"),
     ],
 )
-def test_bad_ranges_on_the_command_line(files, options, words):
+@pytest.mark.parametrize("command", ["register", "sweep"])
+def test_bad_ranges_on_the_command_line(files, command, options, words):
     ran = run(
-        "register", str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d",
+        command, str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d",
         "--n-inliers", "20", *options,
     )  # fmt: skip
     assert ran.exit_code == 2
