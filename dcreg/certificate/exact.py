@@ -29,7 +29,7 @@ CACHE = 1 << 15  # profiles kept
 DIGITS = 12  # of the numbers printed
 # Error of a stated objective: of each residual, relative to the largest coordinate, and of each squared
 # residual, relative to the squared size of the clouds.
-RESIDUAL, SQUARE = Fraction(1, 2**48), Fraction(1, 2**48)
+RESIDUAL, SQUARE = Fraction(1, 2**50), Fraction(1, 2**52)
 
 Pose = tuple[int, ...]  # (a, b, u, v) in integers
 
@@ -113,14 +113,14 @@ class ExactProof:
         """
         check_partition(c.start_lower, c.start_upper, c.leaf_lower, c.leaf_upper, same=0.0)
         is_empty = c.leaf_reasons == INADMISSIBLE
-        least = c.leaf_bounds[~is_empty].min(initial=np.inf)
+        least = float(c.leaf_bounds[~is_empty].min(initial=np.inf))
         most = max(c.lower_bound, c.upper_bound - c.gap_tol)
         require(
             c.lower_bound <= least,
-            f"lower_bound: {c.lower_bound!r} stated, but a leaf has {least!r}",
+            f"lower_bound {c.lower_bound!r} does not follow: a leaf has {least!r}",
         )
         high = np.flatnonzero(~is_empty & (c.leaf_bounds > most))
-        require(not high.size, f"leaf_bounds: leaf {high[:1]} states more than the claim needs")
+        require(not high.size, f"leaf_bounds: leaf {high[:1]} states more than is needed")
         for leaf, lower, upper in self._leaves(c):
             require(
                 not is_empty[leaf] or self._is_outside(lower, upper),
@@ -128,7 +128,8 @@ class ExactProof:
             )
         value = self._attained(c)
         require(
-            c.lower_bound <= value, f"lower_bound: above the objective {float(value)!r} of the pose"
+            c.lower_bound <= value,
+            f"lower_bound: {c.lower_bound!r} exceeds the objective {float(value)!r} of the pose",
         )
         size = (abs(self.x).max() << P) * max(Fraction(c.scale_range[1]), 1) + abs(self.y).max()
         residual = self.k * (RESIDUAL * self._largest / self.unit) ** 2
@@ -281,7 +282,11 @@ class ExactProof:
         m = cost.shape[1]
         duals = np.array([int(d) << self._shift for d in duals_of(wide, columns)[:m]], dtype=object)
         bound = smallest((cost + duals).min(axis=1), self.k) - duals.sum()
-        return Matching(duals, bound, [(i, j) for i, j in enumerate(columns) if j < m])
+        # rows without costs may have more pairs
+        pairs = sorted(
+            [(i, j) for i, j in enumerate(columns) if j < m], key=lambda pair: cost[pair]
+        )
+        return Matching(duals, bound, pairs[: self.k])
 
     def _profile(self, pose: Pose) -> Profile:
         theta = np.array(pose, dtype=object)
