@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator
-from decimal import Context, Decimal
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from fractions import Fraction
 from functools import lru_cache
 from typing import NamedTuple
@@ -23,15 +23,13 @@ from dcreg.certificate.format import INADMISSIBLE, Certificate, UnprovenError, r
 from dcreg.certificate.proof import TANGENT_STEPS, Progress, check_partition
 
 P = 60  # binary places of the factors a and b
-HINT_BITS = 60  # size of the numbers that are converted to doubles, to choose dual variables
+HINT_BITS, HINT_LARGEST = 60, 1 << 300  # of costs that are converted to doubles, to choose duals
 DIRECTIONS = 64  # in a quadrant, to bound the mean of some points
 CACHE = 1 << 15  # profiles kept
 DIGITS = 12  # of the numbers printed
 # Error of a stated objective: of each residual, relative to the largest coordinate, and of each squared
 # residual, relative to the squared size of the clouds.
 RESIDUAL, SQUARE = Fraction(1, 2**50), Fraction(1, 2**52)
-
-Pose = tuple[int, ...]  # (a, b, u, v) in integers
 
 
 class Profile(NamedTuple):
@@ -95,7 +93,8 @@ class ExactProof:
         self._shift = max(0, int(self.area).bit_length() - HINT_BITS)
         self.low, self.high = _floor(c.scale_range[0], 2**P), _ceil(c.scale_range[1], 2**P)
         squares = (self.x**2).sum(axis=1)
-        self.weights = [math.isqrt(sum(squares) // len(squares)), 1]
+        spread = math.isqrt(sum(squares) // len(squares))
+        self.weights = np.array([spread, spread, 1, 1], dtype=object)
         self.is_uniform = self.k == len(x)
         # |(a + ib) x + (u + iv)|^2 is linear in these moments of a point
         self.moments = np.array([squares, *self.x.T, np.ones_like(squares)])
@@ -144,16 +143,12 @@ class ExactProof:
         """Return the objective of the best pairs at the stated pose, in normalised units."""
         a, b = _admissible(c)
         u, v = (Fraction(shift) * self.unit for shift in c.theta[2:])
-        pose = np.array(
-            [_floor(a, 2**P), _floor(b, 2**P), math.floor(u), math.floor(v)], dtype=object
-        )
+        pose = np.array([math.floor(each) for each in (a * 2**P, b * 2**P, u, v)], dtype=object)
         pairs = self._matched(self._costs(pose, pose)).pairs
         rows, columns = (list(each) for each in zip(*pairs, strict=True))
         is_matching = len({*rows}) == len({*columns}) == len(pairs) == self.k
         is_feasible = self.feasible is None or self.feasible[rows, columns].all()
-        require(
-            is_matching and is_feasible, f"upper_bound: no {self.k} pairs at the stated parameter"
-        )
+        require(is_matching and is_feasible, f"upper_bound: no {self.k} pairs at the stated pose")
         total = Fraction(0)
         for (x, y), (to_x, to_y) in zip(self.x[rows] << P, self.y[columns], strict=True):
             total += (a * x - b * y + u - to_x) ** 2 + (b * x + a * y + v - to_y) ** 2
@@ -231,7 +226,8 @@ class ExactProof:
         reach = self.high * (math.isqrt(math.floor(square)) + 1)
         lower = (smallest(self.y.T, self.k) - reach) // self.k
         upper = -((smallest(-self.y.T, self.k) - reach) // self.k)
-        return np.array([-self.high] * 2 + [*lower]), np.array([self.high] * 2 + [*upper])
+        ends = [-self.high] * 2 + [*lower], [self.high] * 2 + [*upper]
+        return np.array(ends[0], dtype=object), np.array(ends[1], dtype=object)
 
     # --- the bound on one box
 
@@ -278,17 +274,16 @@ class ExactProof:
     def _matched(self, cost: np.ndarray) -> Matching:
         """Return the best pairs and duals, up to rounding, and the lower bound that the duals prove."""
         self.n_assignments += 1
-        wide, columns = cheapest_pairs((cost >> self._shift).astype(float), self.k)
+        hints = np.minimum(cost >> self._shift, HINT_LARGEST).astype(float)
+        wide, columns = cheapest_pairs(hints, self.k)
         m = cost.shape[1]
         duals = np.array([int(d) << self._shift for d in duals_of(wide, columns)[:m]], dtype=object)
         bound = smallest((cost + duals).min(axis=1), self.k) - duals.sum()
         # rows without costs may have more pairs
-        pairs = sorted(
-            [(i, j) for i, j in enumerate(columns) if j < m], key=lambda pair: cost[pair]
-        )
+        pairs = sorted(((i, j) for i, j in enumerate(columns) if j < m), key=lambda ij: cost[ij])
         return Matching(duals, bound, pairs[: self.k])
 
-    def _profile(self, pose: Pose) -> Profile:
+    def _profile(self, pose: tuple[int, ...]) -> Profile:
         theta = np.array(pose, dtype=object)
         cost = self._costs(theta, theta)
         found = self._matched(cost)
@@ -327,8 +322,8 @@ class ExactProof:
     def _halves(
         self, lower: np.ndarray, upper: np.ndarray
     ) -> Iterable[tuple[np.ndarray, np.ndarray]]:
-        """Divide a box along the edge that moves the source most."""
-        axis = np.argmax((upper - lower) * np.repeat(self.weights, 2))
+        """Bisect a box along the edge that moves the source most."""
+        axis = np.argmax((upper - lower) * self.weights)
         low, high = upper.copy(), lower.copy()
         low[axis] = high[axis] = (lower[axis] + upper[axis]) // 2
         return (lower, low), (high, upper)
@@ -377,6 +372,16 @@ def is_rounding(stated: Fraction, exact: Fraction, residual: Fraction, square: F
     """
     apart = stated + exact - residual  # at most twice the root of both iff the roots are near
     return abs(stated - exact) <= square or apart <= 0 or apart**2 <= 4 * stated * exact
+
+
+def interval(
+    c: Certificate, lower_bound: float, attained: Fraction
+) -> tuple[str, str, float, float]:
+    """Return both bounds in squared units of the target, rounded outwards: printed, and as doubles."""
+    square = Fraction(c.unit) ** 2
+    low, high = Fraction(lower_bound) * square, attained * square
+    printed = decimal(low, ROUND_FLOOR), decimal(high, ROUND_CEILING)
+    return *printed, rounded(low, -np.inf), rounded(high, np.inf)
 
 
 def rounded(number: Fraction, towards: float) -> float:

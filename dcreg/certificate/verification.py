@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from decimal import ROUND_CEILING, ROUND_FLOOR
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +19,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from dcreg import text
-from dcreg.certificate.exact import ExactProof, decimal, rounded
+from dcreg.certificate.exact import ExactProof, interval
 from dcreg.certificate.format import (
     PRUNED,
     Certificate,
@@ -207,35 +205,36 @@ def _check(
         tried = check_samples(objective, c, slack, n_samples)
         report.checks.append(f"none of {tried} sampled parameters is below the bound of its leaf")
         most = max_boxes or 1000 + objective.boxes_per_leaf * len(c.leaf_bounds)
-        proof: Proof | ExactProof = Proof(objective, slack, most, progress)
-        upper_bound = Fraction(c.upper_bound)
         if exact:
             proof = ExactProof(c, source, target, objective.feasible, most, progress)
-            upper_bound = proof.check(c)
+            attained = proof.check(c)
             report.checks.append(
                 "exactly: the leaves are a partition, the claim follows from their bounds, and the "
                 "stated parameter attains the upper bound up to rounding"
             )
-        lower_bound = _prove(report, proof, c)
+            lower_bound = _prove(report, proof, c)
+            *ends, report.lower_bound, report.upper_bound = interval(c, lower_bound, attained)
+        else:
+            lower_bound = _prove(report, Proof(objective, slack, most, progress), c)
+            report.lower_bound = lower_bound * area
+            ends = [f"{end:.9g}" for end in (report.lower_bound, report.upper_bound)]
     finally:
         report.n_assignments = objective.n_assignments
-    ends = [f"{end * area:.9g}" for end in (lower_bound, c.upper_bound)]
-    report.lower_bound = lower_bound * area
-    if exact:
-        square = Fraction(c.unit) ** 2
-        low, high = Fraction(lower_bound) * square, upper_bound * square
-        report.lower_bound, report.upper_bound = rounded(low, -np.inf), rounded(high, np.inf)
-        ends = [decimal(low, ROUND_FLOOR), decimal(high, ROUND_CEILING)]
+    _state(report, c, objective.scope, ends, "exactly " * exact)
+    report.is_trivial = lower_bound <= 0.0 and c.upper_bound > exact_fit
+
+
+def _state(report: Report, c: Certificate, scope: str, ends: list[str], how: str) -> None:
+    """State what is proven: between which ends the minimum lies."""
     report.checks.append(
         f"on every leaf the objective is at least {ends[0]}, "
-        f"proven {'exactly ' * exact}on {text.count(report.n_boxes, 'box', 'boxes')}"
+        f"proven {how}on {text.count(report.n_boxes, 'box', 'boxes')}"
     )
     among = f" among {len(c.candidates)} candidates" if len(c.candidates) else ""
     report.statement = (
-        f"{objective.scope}: the minimum sum of squared residuals over {c.n_inliers} one-to-one "
-        f"pairs{among} lies {'exactly ' * exact}in [{ends[0]}, {ends[1]}]"
+        f"{scope}: the minimum sum of squared residuals over {c.n_inliers} one-to-one "
+        f"pairs{among} lies {how}in [{ends[0]}, {ends[1]}]"
     )
-    report.is_trivial = lower_bound <= 0.0 and c.upper_bound > exact_fit
 
 
 def _prove(report: Report, proof: Proof | ExactProof, c: Certificate) -> float:

@@ -142,7 +142,6 @@ EDITS = {
     "lower bound raised": lambda c: {"lower_bound": BIT * c.lower_bound},
     "lower bound above the upper": lambda c: claims(c, BIT * c.upper_bound),
     "worse pose, bound above the optimum": lambda c: worse_pose(c, BIT),
-    "worse pose, bound well above the optimum": lambda c: worse_pose(c, 1.001),
     "leaf bound raised": lambda c: with_entry(
         c, "leaf_bounds", PRUNED_LEAF, BIT * c.leaf_bounds[PRUNED_LEAF]
     ),
