@@ -176,6 +176,11 @@ fuzz: dev
 questions: dev
 	@$(BIN)/python -m tests.questions --count $(or $(COUNT),1000)
 
+## exact: prove COUNT certificates of small 2D problems in integers and count those refused or wrong (expected: 0)
+.PHONY: exact
+exact: dev
+	@$(BIN)/python -m tests.exact --count $(or $(COUNT),1000)
+
 ## bad-input: try every kind of bad input and count tracebacks, hangs and unclear messages (expected: 0)
 .PHONY: bad-input
 bad-input: dev

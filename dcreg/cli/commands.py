@@ -221,7 +221,9 @@ def batch(
 
 
 @command
-def verify(*, certificate: Path, clouds: CloudFiles, quiet: Quiet = False) -> int:
+def verify(
+    *, certificate: Path, clouds: CloudFiles, exact: bool = False, quiet: Quiet = False
+) -> int:
     """Check a certificate against its clouds, using only NumPy and SciPy.
 
     Exit code: 0 the claim is proven, or true but trivial; 2 bad input;
@@ -231,12 +233,16 @@ def verify(*, certificate: Path, clouds: CloudFiles, quiet: Quiet = False) -> in
     ----------
     certificate : CERT
         File written by --certificate.
+    exact : switch
+        Also prove both bounds in integers, without any rounding (model similarity2d).
     """
     from dcreg.cli.progress import Progress
 
     points, check = clouds.read(), dcreg.verify
     with Progress(quiet=quiet, step="checking the statements of the certificate") as progress:
-        report = progress.run(partial(check, certificate, *points, progress=progress.prove))
+        report = progress.run(
+            partial(check, certificate, *points, exact=exact, progress=progress.prove)
+        )
     if not report.is_certificate:
         raise dcreg.InputError(report.reason)
     for passed in report.checks:
