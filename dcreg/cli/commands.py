@@ -21,6 +21,7 @@ from dcreg.cli.options import (
     Quiet,
     Search,
 )
+from dcreg.cli.weights import WeightFiles
 from dcreg.names import FIGURE_PACKAGES
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ def register(
     n_inliers: str | None = None,
     search: Search,
     poses: Poses,
+    weights: WeightFiles,
     max_rms: float | None = None,
     outputs: Outputs,
     certificate_path: Path | None = None,
@@ -95,10 +97,12 @@ def register(
         Write a certificate for `dcreg verify`.
     """
     paths = {**outputs.paths, "--certificate": certificate_path}
-    outputs.check(paths, *clouds.names.values(), search.candidates_path)
+    weight_paths = weights.source_weights_path, weights.target_weights_path
+    outputs.check(paths, *clouds.names.values(), search.candidates_path, *weight_paths)
     count = required_count(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
+    keywords["weights"] = weights.settings(clouds)
     options["certificate"] = certificate_path is not None
     keywords["pose_range"], options["init"] = poses.settings()
     keywords |= {"n_inliers": count, "max_rms": max_rms}

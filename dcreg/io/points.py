@@ -11,10 +11,11 @@ import numpy as np
 
 from dcreg.io.arrays import read_mat, read_npy, read_npz
 from dcreg.io.mesh import read_off, read_pcd, read_ply
-from dcreg.io.text import DIMENSIONS, Points, fail, naming, read_text
+from dcreg.io.text import DIMENSIONS, Points, fail, naming, read_column, read_text
 
 # Every reader takes the file and the name of an array; only archives have named arrays.
-READERS: dict[str, Callable[[BinaryIO, str | None], Points]] = {
+Reader = Callable[[BinaryIO, str | None], Points]
+READERS: dict[str, Reader] = {
     ".txt": read_text,
     ".csv": read_text,
     ".xyz": partial(read_text, any_width=True),
@@ -25,6 +26,7 @@ READERS: dict[str, Callable[[BinaryIO, str | None], Points]] = {
     ".pcd": read_pcd,
     ".off": read_off,
 }
+WEIGHT_READERS: dict[str, Reader] = {".txt": read_column, ".csv": read_column, ".npy": read_npy}
 KEYED_SUFFIXES = (".npz", ".mat")
 MAX_ROWS = 2**31  # of a cloud
 
@@ -55,22 +57,52 @@ def read_points(
         If the file is missing, damaged, empty, not finite, ambiguous or of the wrong dimension.
     """
     path, key = split_key(path, key)
-    suffix = path.suffix.lower()
+    # NaN and infinity are found later, also those that a conversion of numbers makes
+    with naming(path), np.errstate(all="ignore"):
+        return _checked(_loaded(path, key, READERS), keep_invalid)
+
+
+def read_weights(path: str | Path) -> np.ndarray:
+    """Read the weights of the points of a cloud, for `dcreg.PointWeights`.
+
+    Parameters
+    ----------
+    path : str or Path
+        A ``.txt`` or ``.csv`` file with one number per line, or a ``.npy`` file.
+
+    Returns
+    -------
+    (n,) float64 array
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or does not hold one number per point.
+    """
+    path = Path(path)
     with naming(path):
-        if path.is_dir():
-            fail("is a folder", "give the path of a point file")
-        if suffix not in READERS:
-            fail(f"unknown extension '{path.suffix}'", f"use one of: {' '.join(READERS)}")
-        if key is not None and suffix not in KEYED_SUFFIXES:
-            fail(f"key '{key}' given, but {suffix} files hold no named arrays", "drop the key")
-        try:
-            # NaN and infinity are found later, also those that a conversion of numbers makes
-            with path.open("rb") as stream, np.errstate(all="ignore"):
-                return _checked(READERS[suffix](stream, key), keep_invalid)
-        except FileNotFoundError:
-            fail("no such file", f"check the path (working folder: {Path.cwd()})")
-        except OSError as error:
-            fail(f"cannot be read: {error.strerror or error}", "check permissions and the disk")
+        weights = _loaded(path, None, WEIGHT_READERS).array
+        if weights.ndim != 1 or not weights.size:
+            fail(f"the array has shape {weights.shape}", "give one number per point")
+        return np.asarray(weights, dtype=np.float64)
+
+
+def _loaded(path: Path, key: str | None, readers: dict[str, Reader]) -> Points:
+    """Return what a file holds, by the reader of its extension."""
+    suffix = path.suffix.lower()
+    if path.is_dir():
+        fail("is a folder", "give the path of a file")
+    if suffix not in readers:
+        fail(f"unknown extension '{path.suffix}'", f"use one of: {' '.join(readers)}")
+    if key is not None and suffix not in KEYED_SUFFIXES:
+        fail(f"key '{key}' given, but {suffix} files hold no named arrays", "drop the key")
+    try:
+        with path.open("rb") as stream:
+            return readers[suffix](stream, key)
+    except FileNotFoundError:
+        fail("no such file", f"check the path (working folder: {Path.cwd()})")
+    except OSError as error:
+        fail(f"cannot be read: {error.strerror or error}", "check permissions and the disk")
 
 
 def split_key(path: str | Path, key: str | None) -> tuple[Path, str | None]:

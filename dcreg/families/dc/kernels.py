@@ -9,7 +9,7 @@ import numpy as np
 
 from dcreg.assignment.kernels.dense import k_assignment
 from dcreg.assignment.kernels.selection import cleared
-from dcreg.families.kernels import add_penalty
+from dcreg.families.kernels import add_penalty, weigh
 from dcreg.jit import jit, jit_inner, jit_part
 
 # --- Costs of all pairs at a parameter, the curvature of the costs, and their range over a box ----
@@ -21,9 +21,10 @@ from dcreg.jit import jit, jit_inner, jit_part
 
 @jit
 def pair_costs(clouds, theta, cost):
-    """Fill cost_ij: the squared distance of the features at `theta`, plus the penalty of the pair."""
+    """Fill cost_ij: the squared distance of the features at `theta`, with penalty and weight."""
     squared_distances(clouds.source, clouds.target, theta, cost)
     add_penalty(clouds.infeasibility_penalty, cost)
+    weigh(clouds.weights, cost)
 
 
 @jit_inner
@@ -354,5 +355,6 @@ def interval_bound(clouds, lower, upper, bounds):
             break
         interval_costs(clouds.source, clouds.target, lower[box], upper[box], cost)
         add_penalty(clouds.infeasibility_penalty, cost)
+        weigh(clouds.weights, cost)
         bounds[box], _ = k_assignment(cost, clouds.k, clouds.stop)
     return lower.shape[0]

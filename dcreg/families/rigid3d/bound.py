@@ -118,7 +118,7 @@ The cost of an infeasible pair is increased by a constant, in E and in every cos
 feasible matchings do not change, so the minimum over all matchings is no more than the minimum over the
 feasible ones, and the bounds hold for any constant. E itself must use no infeasible pair, so the
 constant exceeds k squared residuals at any pose of the start box
-(`dcreg.families.protocol.infeasibility_penalty`).
+(`dcreg.families.pairs.infeasibility_penalty`).
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ class RigidBound(SpaceBound[Rigid3D]):
         source, k = space.clouds.source, space.n_inliers
         self._limits = Limits(
             inertia=float(np.sort((source**2).sum(axis=0))[-k:].sum()),
-            drift=k * largest_subset_mean_3d(source.T, k),
+            drift=k * largest_subset_mean_3d(source.T, k, space.lightest),
             spread=float(np.linalg.eigvalsh(source @ source.T)[-1]),
         )
         few = space.n_pairs <= FEW_PAIRS

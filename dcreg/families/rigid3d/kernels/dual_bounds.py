@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcreg.assignment.kernels.selection import smallest_sum, total
-from dcreg.families.kernels import add_penalty
+from dcreg.families.kernels import add_penalty, weigh
 from dcreg.families.rigid3d.kernels.rough import (
     Auction,
     auction,
@@ -160,6 +160,7 @@ def _begin(view, kept, work):
         work.columns[4, j] = np.float32(kept[j] * (_KEPT * _UNIT))
     rough_costs(view.source, work.columns, work.costs)
     add_penalty(view.infeasibility_penalty, work.costs)
+    weigh(view.weights, work.costs)
 
 
 @jit
