@@ -23,6 +23,8 @@ class Clouds(NamedTuple):
         light.
     weights : (n, m) array, or (0, 0) if all are 1
         Factors between 0 and 1 of the costs of pairs, `infeasibility_penalty` included.
+    heaviest : (n,) array
+        The maximum weight of the pairs of each source point.
     k : int
         Number of pairs to match.
     stop : (1,) uint8 array
@@ -33,6 +35,7 @@ class Clouds(NamedTuple):
     target: np.ndarray
     infeasibility_penalty: np.ndarray
     weights: np.ndarray
+    heaviest: np.ndarray
     k: int
     stop: np.ndarray
 

@@ -37,4 +37,5 @@ def weighted_clouds(clouds: Clouds, weights: PairWeights) -> Clouds:
     return clouds._replace(
         infeasibility_penalty=np.ascontiguousarray(extra / factors),
         weights=np.ascontiguousarray(factors),
+        heaviest=factors.max(axis=1),
     )

@@ -85,6 +85,7 @@ class Space(abc.ABC):
                 candidates, n_inliers, max_scale * radius(source) + radius(target)
             ),
             np.empty((0, 0)),
+            np.ones(len(source)),
             n_inliers,
             stop_flag,
         )

@@ -48,25 +48,28 @@ def squared_distances(source, target, theta, cost):
 
 
 @jit
-def curvature(target, axes, delta, out):
-    """Return R_i(delta) = |J_i delta|^2: the error of the tangent at theta0 in theta0 + delta."""
+def curvature(target, clouds, delta, out):
+    """Return R_i(delta) = |J_i delta|^2: the error of the tangent at theta0 in theta0 + delta.
+
+    It is multiplied by the maximum weight of the source point.
+    """
     if target.ndim == 1:
         r = delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2
         for i in range(out.size):
             out[i] = r
     else:
-        plane_curvature(axes, delta, out)
+        plane_curvature(clouds, delta, out)
 
 
 @jit_part
-def plane_curvature(axes, delta, out):
+def plane_curvature(clouds, delta, out):
     """Return `curvature` for similarities in 2D."""
-    x, y = axes[0], axes[1]
+    x, y, heaviest = clouds.source[0], clouds.source[1], clouds.heaviest
     cos, sin, right, up = delta[0], delta[1], delta[2], delta[3]
     for i in range(out.size):
         u = cos * x[i] - sin * y[i] + right
         v = sin * x[i] + cos * y[i] + up
-        out[i] = u * u + v * v
+        out[i] = heaviest[i] * (u * u + v * v)
 
 
 @jit
@@ -329,7 +332,7 @@ def dc_bound(clouds, lower, upper, bounds, thetas, values):
             for a in range(dim):
                 delta[a] = theta[a] - 0.5 * (lower[box, a] + upper[box, a])
             pair_costs(clouds, theta, cost)
-            curvature(clouds.target, clouds.source, delta, missed)
+            curvature(clouds.target, clouds, delta, missed)
             for i in range(n):
                 for j in range(m):
                     cost[i, j] -= missed[i]

@@ -162,7 +162,7 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
         level = kth_smallest(low, k - 1)
         out = found.boxes.costs[at]
         duals = total(b)
-        cost = costs_at_vertices(view.source, low, k, box, level, work, out) - duals
+        cost = costs_at_vertices(view, low, box, level, work, out) - duals
         for vertex in range(out.size):
             out[vertex] -= duals
         loss = loss_of(box, limits)

@@ -194,7 +194,7 @@ def _at_vertices(view, box, farthest, level, work, out):
     low = work.exact[0]
     for i in range(low.size):
         low[i] = work.rows[1, i]
-    found = costs_at_vertices(view.source, low, view.k, box, level, work.exact, out)
+    found = costs_at_vertices(view, low, box, level, work.exact, out)
     duals = total(work.columns[3])
     reach = box.shift_radius + 2.0 * box.tangent * farthest  # of a displacement
     off = duals + _rounding(view, farthest, reach, found, duals)

@@ -45,8 +45,9 @@ def empty_view(clouds):
     """Allocate clouds that `look_from` fills."""
     source, target = np.empty(clouds.source.shape), np.empty(clouds.target.shape)
     return Clouds(
-        source, target, clouds.infeasibility_penalty, clouds.weights, clouds.k, clouds.stop
-    )
+        source, target, clouds.infeasibility_penalty, clouds.weights, clouds.heaviest, clouds.k,
+        clouds.stop,
+    )  # fmt: skip
 
 
 @jit_inner
