@@ -73,7 +73,6 @@ def register(
     search: Search,
     poses: Poses,
     weights: WeightFiles,
-    max_rms: float | None = None,
     outputs: Outputs,
     certificate_path: Path | None = None,
     quiet: Quiet = False,
@@ -88,8 +87,6 @@ def register(
 
     Parameters
     ----------
-    max_rms : D
-        Only decide whether a pose matches K pairs with at most this RMS residual.
     n_inliers : K
         Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
         a fraction: '1' is one pair, '1.0' is all pairs. Required; `dcreg sweep` helps to choose it.
@@ -105,7 +102,7 @@ def register(
     keywords["weights"] = weights.settings(clouds)
     options["certificate"] = certificate_path is not None
     keywords["pose_range"], options["init"] = poses.settings()
-    keywords |= {"n_inliers": count, "max_rms": max_rms}
+    keywords |= {"n_inliers": count, "max_rms": poses.max_rms}
     result = run_search(dcreg.register, *points, quiet=quiet, options=options, **keywords)
     return _finish(result, points, clouds, outputs, certificate_path)
 

@@ -261,6 +261,8 @@ class Poses:
         Maximum displacement of the centroid of the source from the initial guess, or from no motion.
     rotation : switch
         Search rotations, or only translations.
+    max_rms : D
+        Only decide whether a pose matches K pairs with at most this RMS residual.
     """
 
     init: str | None = None
@@ -268,6 +270,7 @@ class Poses:
     max_angle: float = 180.0
     max_translation: float = math.inf
     rotation: bool = True
+    max_rms: float | None = None
 
     def settings(self) -> tuple[dcreg.PoseRange | None, np.ndarray | None]:
         """Return the range of poses, if it is restricted, and the initial guess."""
