@@ -19,9 +19,11 @@ from dcreg.cli.options import (
     MatchSearch,
     Outputs,
     Poses,
+    Proofs,
     Quiet,
     Search,
 )
+from dcreg.cli.weights import WeightFiles
 from dcreg.names import FIGURE_PACKAGES
 
 if TYPE_CHECKING:
@@ -72,9 +74,9 @@ def register(
     n_inliers: str | None = None,
     search: Search,
     poses: Poses,
-    max_rms: float | None = None,
+    weights: WeightFiles,
+    proofs: Proofs,
     outputs: Outputs,
-    certificate_path: Path | None = None,
     quiet: Quiet = False,
 ) -> int:
     """Register SOURCE to TARGET and certify the result.
@@ -87,24 +89,22 @@ def register(
 
     Parameters
     ----------
-    max_rms : D
-        Only decide whether a pose matches K pairs with at most this RMS residual.
     n_inliers : K
         Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
         a fraction: '1' is one pair, '1.0' is all pairs. Required; `dcreg sweep` helps to choose it.
-    certificate_path : OUT.npz
-        Write a certificate for `dcreg verify`.
     """
-    paths = {**outputs.paths, "--certificate": certificate_path}
-    outputs.check(paths, *clouds.names.values(), search.candidates_path, poses.init)
+    paths = {**outputs.paths, "--certificate": proofs.certificate_path}
+    weight_paths = weights.source_weights_path, weights.target_weights_path
+    outputs.check(paths, *clouds.names.values(), search.candidates_path, poses.init, *weight_paths)
     count = required_count(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
-    options["certificate"] = certificate_path is not None
+    keywords["weights"] = weights.settings(clouds)
+    options["certificate"] = proofs.certificate_path is not None
     keywords["pose_range"], options["init"] = poses.settings()
-    keywords |= {"n_inliers": count, "max_rms": max_rms}
+    keywords |= {"n_inliers": count, "max_rms": proofs.max_rms}
     result = run_search(dcreg.register, *points, quiet=quiet, options=options, **keywords)
-    return _finish(result, points, clouds, outputs, certificate_path)
+    return _finish(result, points, clouds, outputs, proofs.certificate_path)
 
 
 @command

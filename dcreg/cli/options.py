@@ -286,6 +286,22 @@ class Poses:
 
 
 @dataclass
+class Proofs:
+    """What a registration decides or writes besides its bounds.
+
+    Attributes
+    ----------
+    max_rms : D
+        Only decide whether a pose matches K pairs with at most this RMS residual.
+    certificate_path : OUT.npz
+        Write a certificate for `dcreg verify`.
+    """
+
+    max_rms: float | None = None
+    certificate_path: Path | None = None
+
+
+@dataclass
 class MatchSearch:
     """The search over matches: the settings of `dcreg.register_matches`.
 

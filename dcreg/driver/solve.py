@@ -180,6 +180,7 @@ class Setup:
             tolerance.scaled(1.0 / frame.area), options.threads, budget, options.certificate,
             self._patience_s(), _region(problem, frame),
             None if options.init is None else frame.normalised_pose(options.init),
+            None if problem.weights is None else problem.weights.scaled(1.0 / frame.area),
         )  # fmt: skip
 
 
@@ -221,7 +222,9 @@ class Finish:
         if problem.pose_range is None:  # the covariance is that of free poses
             low, high = problem.scale_range
             has_scale = problem.has_scale and low < high
-            result = with_uncertainty(result, problem.source, problem.target, has_scale=has_scale)
+            weights = None if problem.weights is None else problem.weights.of(result.assignment)
+            clouds = problem.source, problem.target
+            result = with_uncertainty(result, *clouds, weights, has_scale=has_scale)
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
 
     def _exact(self, result: Result) -> Result:
@@ -272,7 +275,7 @@ class Finish:
             n_inliers=problem.n_inliers, lower_bound=solution.lower_bound, upper_bound=upper_bound,
             max_rms=self.setup.limits.max_rms,
             gap_tol=tolerance.allowed(upper_bound), is_exact=tolerance.is_exact(upper_bound),
-            certificate_scope=solution.scope,
+            certificate_scope=solution.scope + ", weighted points" * (problem.weights is not None),
             objective=final, objective_certified=before[0],
             n_nodes=sum(stage.n_nodes for stage in solution.stages),
             n_assignments=sum(stage.n_assignments for stage in solution.stages),
@@ -322,7 +325,12 @@ class Finish:
 
 
 def with_uncertainty(
-    result: Result, source: np.ndarray, target: np.ndarray, *, has_scale: bool = False
+    result: Result,
+    source: np.ndarray,
+    target: np.ndarray,
+    weights: np.ndarray | None = None,
+    *,
+    has_scale: bool = False,
 ) -> Result:
     """Return the result with the covariance of its pose, and the directions that the clouds leave open.
 
@@ -330,6 +338,8 @@ def with_uncertainty(
     ----------
     result : Result
     source, target : (n, d), (m, d) arrays
+    weights : (n_inliers,) array, optional
+        Of the pairs.
     has_scale : bool
         Whether the scale was free.
     """
@@ -337,7 +347,7 @@ def with_uncertainty(
     matched, moved = source[rows], apply_pose(result.T_target_source, source[rows])
     return replace(
         result,
-        covariance=pose_covariance(pose, matched, target[columns], has_scale=has_scale),
+        covariance=pose_covariance(pose, matched, target[columns], weights, has_scale=has_scale),
         open_directions=open_directions(moved, target, has_scale=has_scale),
     )
 
