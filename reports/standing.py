@@ -12,7 +12,7 @@ from reports.tables import Tables, is_right, share_interval
 from workflows.outcomes import attempted
 
 ALL = "all tests"
-BEST, TIED = "best", "tied"
+BEST, TIED, WORSE = "best", "tied", "worse"
 _INSTANCE = ["instance_id", "n_inliers_ratio"]
 
 
@@ -20,8 +20,8 @@ _INSTANCE = ["instance_id", "n_inliers_ratio"]
 class Cell:
     """The right runs of one method on one test.
 
-    `standing` is `BEST` for the highest success rate, `TIED` for methods that are not significantly
-    worse, and empty for all others and for methods that receive the true pairs.
+    `standing` is `BEST` for the highest success rate, `TIED` for methods with a lower one that are not
+    significantly worse, `WORSE` for all others, and empty for methods that receive the true pairs.
     """
 
     right: int
@@ -81,12 +81,13 @@ def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
     rivals = [name for name in tables.methods if name in right and not tables.is_oracle(name)]
     standing = dict.fromkeys(right, "")
     if rivals:
-        best = max(rivals, key=lambda name: right[name].mean())
-        others = [name for name in rivals if name != best]
+        shares = {name: right[name].mean() for name in rivals}
+        best = max(rivals, key=lambda name: shares[name])
+        others = [name for name in rivals if shares[name] < shares[best]]
         p_of = [_p_value(right[best], right[name]) for name in others]
-        standing[best] = BEST
+        standing |= dict.fromkeys(rivals, BEST)
         for name, p, level in zip(others, p_of, holm(p_of), strict=True):
-            standing[name] = "" if p <= level else TIED
+            standing[name] = WORSE if p <= level else TIED
     return {
         str(name): Cell(int(column.sum()), int(column.count()), standing[name])
         for name, column in right.items()

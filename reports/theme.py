@@ -245,6 +245,11 @@ def sortable(value: float | None) -> str:
     return str(float(value)).replace("inf", "Infinity")
 
 
+def listed(names: list[str]) -> str:
+    """Return names as in a sentence: ``A, B and C``."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+
+
 def words(name: str) -> str:
     """Return a name of the tables as words: ``mixed_outliers`` becomes mixed outliers."""
     return name.replace("_", " ")

@@ -10,9 +10,9 @@ import pandas as pd
 from reports.ledger.evidence import QUICK, STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
-from reports.standing import BEST, TIED, Matrix, matrices
+from reports.standing import BEST, TIED, WORSE, Matrix, matrices
 from reports.tables import PENALTY, Tables, counted_time, is_right, share_interval
-from reports.theme import Style, share
+from reports.theme import Style, listed, share
 from workflows.metrics.errors import SUCCESS_SHARE
 from workflows.outcomes import attempted, comparable_times, main_machine
 from workflows.stages.evaluate import success_rmse
@@ -53,21 +53,22 @@ def context(page: Page) -> dict[str, Any]:
 
 
 def sentence(matrix: Matrix, styles: dict[str, Style]) -> str:
-    """Return which method is best on all tests together, and which are not significantly worse."""
-    best, tied = matrix.standing(BEST), matrix.standing(TIED)
+    """Return which methods are best on all tests together, and which are not significantly worse."""
+    best, tied, worse = (
+        [styles[name].name for name in matrix.standing(kind)] for kind in (BEST, TIED, WORSE)
+    )
     if not best:
-        return f"{matrix.model}: no method without the true pairs was run."
-    cell = matrix.rows[best[0]][matrix.columns[0]]
-    text = (
-        f"{matrix.model}: {styles[best[0]].name} has the highest success rate, "
-        f"{share(cell.share, *cell.interval)} of {cell.runs} runs"
+        return f"{matrix.model}: only methods that receive the true pairs were run."
+    cell = next(iter(matrix.rows.values()))[matrix.columns[0]]
+    found = (
+        f"{matrix.model}: {listed(best)} {'has' if len(best) == 1 else 'have'} the highest success "
+        f"rate, {share(cell.share, *cell.interval)} of {cell.runs} runs"
     )
-    if not tied:
-        return text + (". All others are significantly worse." if len(matrix.rows) > 1 else ".")
-    names = " and ".join(
-        filter(None, [", ".join(styles[name].name for name in tied[:-1]), styles[tied[-1]].name])
-    )
-    return f"{text}; {names} {'is' if len(tied) == 1 else 'are'} not significantly worse."
+    if tied:
+        return (
+            f"{found}; {listed(tied)} {'is' if len(tied) == 1 else 'are'} not significantly worse."
+        )
+    return found + ("; all others are significantly worse." if worse else ".")
 
 
 def facts(tables: Tables) -> list[tuple[str, str]]:
