@@ -20,6 +20,7 @@ from dcreg.cli.options import (
     Poses,
     Quiet,
     Search,
+    SearchFiles,
 )
 from dcreg.names import FIGURE_PACKAGES
 
@@ -73,7 +74,7 @@ def register(
     poses: Poses,
     max_rms: float | None = None,
     outputs: Outputs,
-    certificate_path: Path | None = None,
+    files: SearchFiles,
     quiet: Quiet = False,
 ) -> int:
     """Register SOURCE to TARGET and certify the result.
@@ -91,19 +92,18 @@ def register(
     n_inliers : K
         Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
         a fraction: '1' is one pair, '1.0' is all pairs. Required; `dcreg sweep` helps to choose it.
-    certificate_path : OUT.npz
-        Write a certificate for `dcreg verify`.
     """
-    paths = {**outputs.paths, "--certificate": certificate_path}
+    paths = {**outputs.paths, **files.paths}
     outputs.check(paths, *clouds.names.values(), search.candidates_path)
     count = required_count(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
-    options["certificate"] = certificate_path is not None
+    options["certificate"] = files.certificate_path is not None
+    options["checkpoint"] = files.checkpoint_path
     keywords["pose_range"], options["init"] = poses.settings()
     keywords |= {"n_inliers": count, "max_rms": max_rms}
     result = run_search(dcreg.register, *points, quiet=quiet, options=options, **keywords)
-    return _finish(result, points, clouds, outputs, certificate_path)
+    return _finish(result, points, clouds, outputs, files.certificate_path)
 
 
 @command

@@ -340,6 +340,28 @@ class AnswerFiles:
 
 
 @dataclass
+class SearchFiles:
+    """The files of the search of a registration.
+
+    Attributes
+    ----------
+    certificate_path : OUT.npz
+        Write a certificate for `dcreg verify`.
+    checkpoint_path : FILE.npz
+        Save the state of the search every two minutes and at its end. If the file exists, the search
+        continues from it.
+    """
+
+    certificate_path: Path | None = None
+    checkpoint_path: Path | None = None
+
+    @property
+    def paths(self) -> dict[str, Path | None]:
+        """The file of each option."""
+        return {flag(name): path for name, path in vars(self).items()}
+
+
+@dataclass
 class Outputs:
     """The files of one registration.
 

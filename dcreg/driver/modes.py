@@ -240,7 +240,7 @@ class Attempt:
         # Only with the mode's own bound, so that another one is used alone. A cover contains the
         # stationary poses of the model, which need not be those of a region.
         is_own = problem.bound == mode.own_bound and problem.region is None
-        if start is None and problem.init is not None:
+        if start is None and problem.init is not None and budget.resumed is None:
             start = self.start(budget)
         if mode.make_cover is not None and is_own:
             make_cover = functools.partial(

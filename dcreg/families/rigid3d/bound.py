@@ -164,6 +164,7 @@ class RigidBound(SpaceBound[Rigid3D]):
         )
         few = space.n_pairs <= FEW_PAIRS
         self._vertices = None if few else VertexValues(space.clouds, self.map_slices)
+        self.stored = self._vertices
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         count = len(boxes)
