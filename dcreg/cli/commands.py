@@ -16,12 +16,13 @@ from dcreg.cli.numbers import parse_counts
 from dcreg.cli.options import (
     BatchFiles,
     CloudFiles,
+    Goal,
     MatchSearch,
     Outputs,
     Poses,
-    Proofs,
     Quiet,
     Search,
+    SearchFiles,
 )
 from dcreg.cli.weights import WeightFiles
 from dcreg.names import FIGURE_PACKAGES
@@ -71,12 +72,12 @@ def _finish(
 def register(
     *,
     clouds: CloudFiles,
-    n_inliers: str | None = None,
+    goal: Goal,
     search: Search,
     poses: Poses,
     weights: WeightFiles,
-    proofs: Proofs,
     outputs: Outputs,
+    files: SearchFiles,
     quiet: Quiet = False,
 ) -> int:
     """Register SOURCE to TARGET and certify the result.
@@ -86,25 +87,20 @@ def register(
     Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C
     (the best pose is still written); 4 an output file could not be written; 6 refuted
     (--max-rms: proven that no pose fits so well).
-
-    Parameters
-    ----------
-    n_inliers : K
-        Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
-        a fraction: '1' is one pair, '1.0' is all pairs. Required; `dcreg sweep` helps to choose it.
     """
-    paths = {**outputs.paths, "--certificate": proofs.certificate_path}
+    paths = {**outputs.paths, **files.paths}
     weight_paths = weights.source_weights_path, weights.target_weights_path
     outputs.check(paths, *clouds.names.values(), search.candidates_path, poses.init, *weight_paths)
-    count = required_count(n_inliers)
+    count = required_count(goal.n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
     keywords["weights"] = weights.settings(clouds)
-    options["certificate"] = proofs.certificate_path is not None
+    options["certificate"] = files.certificate_path is not None
+    options["checkpoint"] = files.checkpoint_path
     keywords["pose_range"], options["init"] = poses.settings()
-    keywords |= {"n_inliers": count, "max_rms": proofs.max_rms}
+    keywords |= {"n_inliers": count, "max_rms": goal.max_rms}
     result = run_search(dcreg.register, *points, quiet=quiet, options=options, **keywords)
-    return _finish(result, points, clouds, outputs, proofs.certificate_path)
+    return _finish(result, points, clouds, outputs, files.certificate_path)
 
 
 @command

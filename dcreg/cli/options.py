@@ -168,6 +168,23 @@ class CloudFiles:
 
 
 @dataclass
+class Goal:
+    """What a registration is to find.
+
+    Attributes
+    ----------
+    n_inliers : K
+        Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
+        a fraction: '1' is one pair, '1.0' is all pairs. Required; `dcreg sweep` helps to choose it.
+    max_rms : D
+        Only decide whether a pose matches K pairs with at most this RMS residual.
+    """
+
+    n_inliers: str | None = None
+    max_rms: float | None = None
+
+
+@dataclass
 class Search:
     """The problem and its search: the settings of `dcreg.register` and `dcreg.sweep`.
 
@@ -286,22 +303,6 @@ class Poses:
 
 
 @dataclass
-class Proofs:
-    """What a registration decides or writes besides its bounds.
-
-    Attributes
-    ----------
-    max_rms : D
-        Only decide whether a pose matches K pairs with at most this RMS residual.
-    certificate_path : OUT.npz
-        Write a certificate for `dcreg verify`.
-    """
-
-    max_rms: float | None = None
-    certificate_path: Path | None = None
-
-
-@dataclass
 class MatchSearch:
     """The search over matches: the settings of `dcreg.register_matches`.
 
@@ -376,6 +377,28 @@ class BatchFiles:
         output.check_suffix("--out", self.out_path, [".csv"])
         output.check_suffix("--graph", self.graph_path, [".g2o"])
         output.check_outputs({"--out": self.out_path, "--graph": self.graph_path}, *inputs)
+
+
+@dataclass
+class SearchFiles:
+    """The files of the search of a registration.
+
+    Attributes
+    ----------
+    certificate_path : OUT.npz
+        Write a certificate for `dcreg verify`.
+    checkpoint_path : FILE.npz
+        Save the state of the search every two minutes and at its end. If the file exists, the search
+        continues from it.
+    """
+
+    certificate_path: Path | None = None
+    checkpoint_path: Path | None = None
+
+    @property
+    def paths(self) -> dict[str, Path | None]:
+        """The file of each option."""
+        return {flag(name): path for name, path in vars(self).items()}
 
 
 @dataclass

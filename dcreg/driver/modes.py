@@ -269,7 +269,7 @@ class Attempt:
         # stationary poses of the model without weights, which need not be those of a region.
         is_own = problem.bound == mode.own_bound and problem.region is None
         is_own = is_own and problem.weights is None
-        if start is None and problem.init is not None:
+        if start is None and problem.init is not None and budget.resumed is None:
             start = self.start(budget)
         if mode.make_cover is not None and is_own:
             make_cover = functools.partial(

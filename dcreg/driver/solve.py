@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -43,6 +43,9 @@ from dcreg.result import Result, Stage, Trace
 from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget, Event, Listener
 from dcreg.status import Status
+
+if TYPE_CHECKING:
+    from dcreg.driver.checkpoint import CheckpointFile
 
 _LOGGER = logging.getLogger("dcreg")
 # Seconds for a proof by default. A proof about a sample says little about all points, so it gets less.
@@ -82,6 +85,8 @@ class Setup:
     options : SolveOptions
     time_s : float
         Seconds that the decisions took, compilation included.
+    checkpoint : CheckpointFile, optional
+        ``options.checkpoint``, opened.
     """
 
     problems: Sequence[Problem]
@@ -91,6 +96,7 @@ class Setup:
     limits: Limits
     options: SolveOptions
     time_s: float
+    checkpoint: CheckpointFile | None = None
 
     @classmethod
     def of(
@@ -136,6 +142,11 @@ class Setup:
         chosen = mode or find_mode(largest.model, name)
         check_mode(chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms)
         limits.check(largest.n_inliers)
+        checkpoint = None
+        if options.checkpoint is not None:
+            from dcreg.driver.checkpoint import open_checkpoint  # few searches need it
+
+            checkpoint = open_checkpoint(largest, chosen, limits, options)
         for line in advice(largest):
             _LOGGER.info(line)
         if mode is None:
@@ -145,7 +156,7 @@ class Setup:
                 warm_up_region(chosen)
         frame = Frame.of(largest)
         time_s = time.perf_counter() - began
-        return cls(problems, searched, frame, chosen, limits, options, time_s)
+        return cls(problems, searched, frame, chosen, limits, options, time_s, checkpoint)
 
     @property
     def is_sampled(self) -> bool:
@@ -154,9 +165,11 @@ class Setup:
 
     def budget(self) -> Budget:
         """Start the clock; the listener receives events in the units of the input."""
-        return self.limits.budget(
-            self.options, in_input_units(self.options.listener, self.frame.area)
-        )
+        listener = in_input_units(self.options.listener, self.frame.area)
+        budget = self.limits.budget(self.options, listener)
+        if self.checkpoint is not None:
+            self.checkpoint.attach(budget)
+        return budget
 
     def _patience_s(self) -> float | None:
         """Return how long a proof may take; None: until the limit."""

@@ -16,7 +16,7 @@ from dcreg.families.kernels import Clouds
 from dcreg.families.pairs import infeasibility_penalty, weighted_clouds
 from dcreg.jit import NEVER
 from dcreg.problem import PairWeights
-from dcreg.search import Bound, Box, Boxes, Budget, Evaluation, Interrupted
+from dcreg.search import Bound, Box, Boxes, Budget, Evaluation, Interrupted, Stored
 
 Arrays = TypeVar("Arrays", bound=tuple[Any, ...])
 
@@ -279,6 +279,8 @@ class SpaceBound(abc.ABC, Generic[S]):
         Spaces that it bounds.
     n_assignments : int
         Exact assignments solved so far.
+    stored : Stored, optional
+        What the bound remembers about boxes.
     round_pairs, max_round : int
         Maximum number of pairs and of boxes in one round: enough to keep threads busy, few enough for
         the search to stay interruptible.
@@ -287,6 +289,7 @@ class SpaceBound(abc.ABC, Generic[S]):
     name: ClassVar[str] = ""
     space_type: ClassVar[type[Space]]
     round_pairs, max_round = 8_000_000, 256
+    stored: Stored | None = None
 
     def __init__(self, space: S, roots: Sequence[Box] | None = None, threads: int = 1) -> None:
         self.space = space

@@ -169,6 +169,7 @@ class RigidBound(SpaceBound[Rigid3D]):
             self._floor = float(np.sort(extra.min(axis=1))[:k].sum())
         few = space.n_pairs <= FEW_PAIRS
         self._vertices = None if few else VertexValues(space.clouds, self.map_slices)
+        self.stored = self._vertices
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         count = len(boxes)
