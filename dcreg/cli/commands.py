@@ -12,18 +12,9 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.app import app, command, required_count, run_search
+from dcreg.cli.files import BatchFiles, Outputs, SearchFiles
 from dcreg.cli.numbers import parse_counts
-from dcreg.cli.options import (
-    BatchFiles,
-    CloudFiles,
-    Goal,
-    MatchSearch,
-    Outputs,
-    Poses,
-    Quiet,
-    Search,
-    SearchFiles,
-)
+from dcreg.cli.options import CloudFiles, Goal, MatchSearch, Poses, Quiet, Search
 from dcreg.cli.weights import WeightFiles
 from dcreg.names import FIGURE_PACKAGES
 
