@@ -269,7 +269,9 @@ class ExactProof:
         cost = dx * dx + dy * dy
         if self.feasible is None:
             return cost
-        return np.where(self.feasible, cost, (self.k + 1) * cost.max() + 1)
+        # more than any k feasible pairs, also among the hints
+        most = (self.k + 1) * (cost.max() + (1 << self._shift))
+        return np.where(self.feasible, cost, most)
 
     def _matched(self, cost: np.ndarray) -> Matching:
         """Return the best pairs and duals, up to rounding, and the lower bound that the duals prove."""

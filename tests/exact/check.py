@@ -28,8 +28,13 @@ def problems(rel_gap: float = REL_GAP) -> Iterator[FuzzProblem]:
     for number in itertools.count(1, 2):
         drawn = problem(number, "similarity2d")
         if drawn.n_inliers >= SMALLEST:
-            settings = {name: drawn.settings[name] for name in drawn.settings if name != "abs_gap"}
-            yield replace(drawn, settings=settings | {"rel_gap": rel_gap})
+            yield with_gap(drawn, rel_gap)
+
+
+def with_gap(small: FuzzProblem, rel_gap: float = REL_GAP) -> FuzzProblem:
+    """Return a problem with a relative tolerance alone."""
+    settings = {name: value for name, value in small.settings.items() if name != "abs_gap"}
+    return replace(small, settings=settings | {"rel_gap": rel_gap})
 
 
 def check(small: FuzzProblem) -> Outcome:

@@ -17,7 +17,8 @@ from dcreg.certificate import CertificateError, format
 from dcreg.certificate.exact import ExactProof, P, decimal, is_rounding, rounded
 from dcreg.certificate.verification import feasible_pairs, verify
 from tests.certificates import rigid_case
-from tests.exact.check import check, problems
+from tests.exact.check import check, problems, with_gap
+from tests.fuzz.problems import problem
 from tests.oracles.kernels import k_assignment_brute_force
 from tests.problems import SEEDS, cloud_pairs, register
 from tests.unit.test_cli import run
@@ -97,6 +98,13 @@ def test_a_scale_that_rounding_left_outside_is_moved_into_the_range():
     a, b = map(Fraction, certificate.theta[:2])
     assert a * a + b * b != 1
     assert verify(certificate, source, target, exact=True).accepted
+
+
+def test_only_candidates_attain_the_upper_bound_of_coincident_points():
+    """All residuals are rounding errors there."""
+    coincident = with_gap(problem(3643, "similarity2d"))
+    assert not coincident.allowed.all()
+    assert check(coincident).kind == "exact fit"
 
 
 # --- forged certificates ----------------------------------------------------------------------
