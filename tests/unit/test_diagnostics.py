@@ -283,6 +283,20 @@ def test_a_symmetric_shape_has_a_runner_up_of_the_same_cost(dim):
     assert np.sqrt((residual**2).mean()) < 0.1
 
 
+@pytest.mark.parametrize(
+    ("shift", "ratio", "differs"),
+    [(0.04, 1.01, True), (0.04, 1.03, False), (0.025, 1.01, False), (0.3, 1.5, True)],
+)
+def test_an_equally_good_pose_close_by_is_a_runner_up(shift, ratio, differs):
+    """Beyond three RMS residuals, here 0.03; beyond a fifth of the radius, here 0.13, if it is worse."""
+    source, target = clouds()
+    problem = dcreg.Problem(source, target, 30, "similarity2d")
+    other, objective = np.eye(3), 30 * 0.01**2
+    other[0, 2] = shift
+    found = find_runner_up(problem, np.eye(3), objective, [(other, ratio * objective)])
+    assert (found is not None) == differs
+
+
 def test_a_pose_close_by_is_no_runner_up():
     source, target = clouds()
     problem = dcreg.Problem(source, target, 30, "similarity2d")
