@@ -10,7 +10,7 @@ PART = $(if $(METHODS),--methods $(METHODS)) $(if $(DATASETS),--datasets $(DATAS
 # Tests that are quick enough where kernels run as plain Python.
 INTERPRETED := $(patsubst %,tests/unit/test_%.py,without_compiler io plot result problem pose sample) \
   $(patsubst %,tests/properties/test_%.py,line line_assignment assignment sorting)
-PYTEST := $(BIN)/python -m pytest -n $(CORES) --dist loadgroup --no-loadscope-reorder
+PYTEST := $(BIN)/python -m pytest -n $(CORES) --dist loadscope --no-loadscope-reorder
 # Every stage and many tests start a process: without stored bytecode each would compile all packages again.
 export PYTHONDONTWRITEBYTECODE :=
 SYSTEM_PACKAGES := libusb-1.0-0 libgl1 libegl1 libgomp1 libx11-6
@@ -175,6 +175,11 @@ fuzz: dev
 .PHONY: questions
 questions: dev
 	@$(BIN)/python -m tests.questions --count $(or $(COUNT),1000)
+
+## exact: prove COUNT certificates of small 2D problems in integers and count those refused or wrong (expected: 0)
+.PHONY: exact
+exact: dev
+	@$(BIN)/python -m tests.exact --count $(or $(COUNT),1000)
 
 ## bad-input: try every kind of bad input and count tracebacks, hangs and unclear messages (expected: 0)
 .PHONY: bad-input

@@ -8,12 +8,12 @@ from .certificate.verification import Report, verify
 from .diagnostics import advice
 from .driver.options import SolveOptions
 from .driver.warm_up import warm_up
-from .io import read_candidates, read_matches, read_points, read_pose
+from .io import read_candidates, read_matches, read_points, read_pose, read_weights
 from .io.g2o import PoseEdge, write_pose_graph
 from .io.moved import write_moved
 from .names import bound_names, mode_names
 from .plot import plot_answer, plot_registration, plot_sweep
-from .problem import Candidates, InputError, OpenDirection, PoseRange, Problem
+from .problem import Candidates, InputError, OpenDirection, PointWeights, PoseRange, Problem
 from .questions.alternatives import Alternative, Alternatives, alternatives
 from .questions.certify import Certified, certify
 from .questions.inliers import MaxInliers, max_inliers
@@ -35,6 +35,7 @@ __all__ = [
     "Listener",
     "MaxInliers",
     "OpenDirection",
+    "PointWeights",
     "PoseEdge",
     "PoseRange",
     "Problem",
@@ -61,6 +62,7 @@ __all__ = [
     "read_matches",
     "read_points",
     "read_pose",
+    "read_weights",
     "register",
     "register_matches",
     "search",

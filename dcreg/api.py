@@ -10,7 +10,7 @@ from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import register_problem
 from dcreg.driver.sweep import sweep_problems
 from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, SCORES
-from dcreg.problem import Candidates, InputError, PoseRange, Problem
+from dcreg.problem import Candidates, InputError, PointWeights, PoseRange, Problem
 from dcreg.result import Result
 from dcreg.sweep_result import SweepResult
 
@@ -24,6 +24,7 @@ def register(
     scale_range: tuple[float, float] | None = None,
     candidates: Candidates | None = None,
     pose_range: PoseRange | None = None,
+    weights: PointWeights | None = None,
     rel_gap: float = DEFAULT_REL_GAP,
     abs_gap: float | None = None,
     tol: float | None = None,
@@ -56,6 +57,10 @@ def register(
         the objective, the bounds and the assignment.
     pose_range : PoseRange, optional
         The admissible poses: rotations about one axis, limited angles or translations. Default: all.
+    weights : PointWeights, optional
+        Weights of the points. They replace the squared residual in the objective, the bounds and the
+        covariance by the cost of `PointWeights`. For ``similarity2d``, and for ``rigid3d`` in mode
+        ``full``, with up to 1,200,000 point pairs.
     rel_gap : float
         The relative tolerance, as a share of the upper bound, below 1. The search stops when
         ``upper_bound - lower_bound <= max(rel_gap * upper_bound, abs_gap)``.
@@ -102,7 +107,9 @@ def register(
     >>> result.status.value, np.round(result.translation, 6).tolist()
     ('optimal', [3.0, 3.0])
     """
-    problem = Problem(source, target, n_inliers, model, scale_range, candidates, pose_range)
+    problem = Problem(
+        source, target, n_inliers, model, scale_range, candidates, pose_range, weights
+    )
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb, max_rms)
     return register_problem(problem, limits, SolveOptions.of(options))
 

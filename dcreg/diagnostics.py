@@ -354,9 +354,13 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
     too_many_points,
 )
 
+# They compare residuals, which the objective of weighted points does not give.
+OF_RESIDUALS = few_pairs, loose_pairs
+
 
 def warnings_for(case: Case) -> list[str]:
     """Return one line for each rule that applies; none if it is proven that no pose is good enough."""
     if case.result.status is Status.REFUTED:
         return []
-    return [line for rule in RULES if (line := rule(case)) is not None]
+    rules = [each for each in RULES if case.problem.weights is None or each not in OF_RESIDUALS]
+    return [line for rule in rules if (line := rule(case)) is not None]

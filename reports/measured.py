@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
 
 from baselines import registry
 from dcreg.names import NORM_SCOPES, POSE_SCOPES
-from reports.tables import Tables
+from reports import theme
+from reports.tables import COVERAGE, Tables, share_interval
 from reports.theme import MISSING, integer, number, words
 from workflows.hashing import digest
 from workflows.metrics.errors import SUCCESS_SHARE
 from workflows.outcomes import attempted, comparable_times
 
-COVERAGE = 0.95
 DRAWS = 4000
 MOST_COUNTS = 10_000_000  # of a bootstrap, in double precision at the same time
 SMALL = 0.02  # relative: searches stop at about the same limit on assignments
@@ -144,9 +143,7 @@ def share(values: pd.Series) -> str:
     """Return a share of runs with Wilson's interval, in per cent."""
     if values.empty:
         return MISSING
-    found = binomtest(int(values.sum()), len(values))
-    ends = found.proportion_ci(COVERAGE, method="wilson")
-    return f"{100 * values.mean():.0f} % [{100 * ends.low:.0f}, {100 * ends.high:.0f}]"
+    return theme.share(values.mean(), *share_interval(int(values.sum()), len(values)))
 
 
 def estimate(statistic: Callable[..., Any], *samples: pd.Series) -> tuple[float, float, float]:

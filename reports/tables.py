@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
 from data import registry
 from data.contract import RecordedDataset
@@ -21,9 +22,10 @@ from workflows.studies import REFERENCE
 if TYPE_CHECKING:
     import polars as pl
 
+COVERAGE = 0.95
 BOUNDS = ("lower_bound", "upper_bound")
 MOST_EVENTS = 200  # of a bound history in a figure
-PENALTY = 2.0  # time limits that a run that did not finish counts (PAR2)
+PENALTY = 2.0  # time limits that a run without a right pose counts (PAR2)
 
 
 class ReportError(UserError):
@@ -156,7 +158,7 @@ def count_outcomes(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Series:
-    """Return the seconds of runs; one that hit a limit or failed counts `PENALTY` times the time limit.
+    """Return the seconds of runs; a run without a right pose counts `PENALTY` times the time limit.
 
     If a limit on work ended it, or without a limit in the cards, it counts `PENALTY` times its own time.
     """
@@ -167,7 +169,18 @@ def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Ser
     }
     by_work = runs["status"].isin(("assignment_limit", "node_limit"))
     limit = runs["method"].map(limits).astype(float).mask(by_work).fillna(runs["time_solve_s"])
-    return runs["time_solve_s"].mask(runs["outcome"].isin(("limited", "failed")), PENALTY * limit)
+    return runs["time_solve_s"].where(is_right(runs), PENALTY * limit)
+
+
+def is_right(runs: pd.DataFrame) -> pd.Series:
+    """Return whether each run found the right pose; a run without a pose did not."""
+    return runs["success"].astype(float).fillna(0) > 0
+
+
+def share_interval(right: int, runs: int) -> tuple[float, float]:
+    """Return the ends of Wilson's 95 % interval of a share."""
+    ends = binomtest(right, runs).proportion_ci(COVERAGE, method="wilson")
+    return float(ends.low), float(ends.high)
 
 
 def limits_of(card: dict[str, Any]) -> dict[str, str]:

@@ -214,6 +214,11 @@ def percent(value: float | None) -> str:
     return MISSING if value is None or math.isnan(value) else f"{100 * value:.0f} %"
 
 
+def share(value: float, low: float, high: float) -> str:
+    """Format a share of runs with its interval."""
+    return f"{100 * value:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
+
+
 def proven(value: float | None) -> str:
     """Format L/U, rounded down: only a closed gap is 100 %."""
     return MISSING if value is None or math.isnan(value) else text.percent(value)
@@ -238,6 +243,11 @@ def sortable(value: float | None) -> str:
     if value is None or math.isnan(value):
         return ""
     return str(float(value)).replace("inf", "Infinity")
+
+
+def listed(names: list[str]) -> str:
+    """Return names as in a sentence: ``A, B and C``."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def words(name: str) -> str:

@@ -6,6 +6,7 @@ import tests.offline  # noqa: F401  # isort: skip
 import os
 import time
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import numpy as np
@@ -21,24 +22,44 @@ hypothesis.settings.load_profile("fixed")
 HERE = Path(__file__).parent
 
 # Files that start first, because they run longest: both cores then finish together.
-LONGEST = ("workflow/test_dag.py", "workflow/test_report_browser.py")
+LONGEST = (
+    "workflow/test_dag.py", "workflow/test_report_browser.py", "workflow/test_reproducibility.py",
+    "workflow/test_profiles.py", "workflow/test_faults.py", "properties/test_cover.py",
+    "properties/test_nearest_cover.py", "questions/test_questions.py", "unit/test_claims.py",
+)  # fmt: skip
 # Files whose tests share nothing that is expensive to make: any worker may take a part of them.
 SPREAD = ("unit/test_compiling.py", "fuzz/test_fuzz.py")
 # A file shares the worker of another one whose fixture it uses.
 WITH = {"unit/test_report.py": "workflow/test_report_browser.py"}
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep the tests of a file on one worker, since they share fixtures and loaded kernels.
+def share(nodeid: str) -> str:
+    """Return the share of the work that a test belongs to, which one worker does.
 
-    Tests of one method stay together where a file runs every method.
+    Tests of a file share fixtures and loaded kernels. Where a file runs every method, only the tests of
+    one method stay together.
     """
-    for item in items:
-        file = item.path.relative_to(HERE).as_posix()
-        parameters = item.callspec.params if hasattr(item, "callspec") else {}
-        part = parameters.get("name", "") if file.startswith("contract/") else ""
-        if file not in SPREAD:
-            item.add_marker(pytest.mark.xdist_group(f"{WITH.get(file, file)}{part}"))
+    file = nodeid.split("::")[0].removeprefix("tests/")
+    if file in SPREAD:
+        return nodeid
+    method = nodeid.partition("[")[2].partition("-")[0] if file.startswith("contract/") else ""
+    return WITH.get(file, file) + method.rstrip("]")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Distribute shares; the scheduler `loadgroup` of pytest-xdist 3.8 groups nothing with pytest 9.2."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByShare(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return share(nodeid)
+
+    return ByShare(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the tests that run longest."""
     first = (*LONGEST, *SPREAD)
     order = {file: place for place, file in enumerate(first)}
     items.sort(key=lambda item: order.get(item.path.relative_to(HERE).as_posix(), len(first)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from dcreg.assignment.alternation import alternate
 from dcreg.assignment.large import descend
-from dcreg.assignment.objective import is_large, objective
+from dcreg.assignment.objective import is_large, objective, weighted_objective
 from dcreg.problem import Problem
 from dcreg.search import Budget
 
@@ -40,17 +40,20 @@ def polish(
     """
     budget = budget or Budget()
     source, target, n_inliers = problem.source, problem.target, problem.n_inliers
-    candidates = problem.candidates
+    candidates, weights = problem.candidates, problem.weights
 
     def evaluate(T: np.ndarray) -> tuple[float, np.ndarray]:
+        if weights is not None:
+            return weighted_objective(problem, T)
         return objective(source, target, T, n_inliers, candidates, stop=budget.hard_stop)
 
     def fit(T: np.ndarray, pairs: np.ndarray) -> np.ndarray | None:
         if budget.is_over:
             return None
-        return problem.fit(source[pairs[:, 0]], target[pairs[:, 1]])
+        own = None if weights is None else weights.of(pairs)
+        return problem.fit(source[pairs[:, 0]], target[pairs[:, 1]], own)
 
-    if candidates is None and is_large(len(source), len(target)):
+    if candidates is weights is None and is_large(len(source), len(target)):
         return _polish_large(problem, T_target_source, budget, known)
     value, pairs = known or evaluate(T_target_source)
     T, value, pairs, spent = alternate(T_target_source, value, pairs, fit, evaluate, _MIN_GAIN)

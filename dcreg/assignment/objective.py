@@ -92,6 +92,17 @@ def objective(
     return match_at(source, target, T_target_source, n_inliers, candidates, **effort)[:2]
 
 
+def weighted_objective(problem: Problem, T_target_source: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the minimum cost of one-to-one pairs of weighted points at a pose, and the pairs."""
+    assert problem.weights is not None
+    moved = apply_pose(T_target_source, problem.source)
+    cost = problem.weights.costs(((moved[:, None] - problem.target[None]) ** 2).sum(axis=-1))
+    if problem.candidates is not None:
+        cost[~problem.candidates] = 1.0 + problem.n_inliers * cost.max()
+    value, col_of = k_assignment(cost, problem.n_inliers)
+    return value, pairs_of(col_of)
+
+
 def match_at(
     source: np.ndarray,
     target: np.ndarray,
@@ -189,6 +200,8 @@ def quick_objective(
         As in `match_at`. The value is that of these pairs, an upper bound on the minimum.
     """
 
+    if problem.weights is not None:
+        return *weighted_objective(problem, T_target_source), False
     source, target, k = problem.source, problem.target, problem.n_inliers
 
     def own() -> tuple[float, np.ndarray, bool]:

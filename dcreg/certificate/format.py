@@ -55,7 +55,11 @@ def require(holds: bool | np.bool_, problem: str) -> None:
         raise CertificateError(problem)
 
 
-class NoCertificateError(CertificateError):
+class NothingToCheckError(CertificateError):
+    """A request that no check can answer, rather than a false or damaged certificate."""
+
+
+class NoCertificateError(NothingToCheckError):
     """A file that is not a certificate of this format, rather than a false or damaged one."""
 
     def __init__(self, path: Path, problem: str) -> None:

@@ -28,6 +28,7 @@ def check_partition(
     lower: np.ndarray,
     upper: np.ndarray,
     numbers: np.ndarray | None = None,
+    same: float = SAME,
 ) -> None:
     """Check that the leaves are a partition of the start box: no gap, no overlap, nothing outside.
 
@@ -43,6 +44,8 @@ def check_partition(
         Leaf boxes.
     numbers : (L,) int array, optional
         Their numbers in messages; by default, 0 to L - 1.
+    same : float
+        Tolerance of coordinates; with 0, the check is exact.
 
     Raises
     ------
@@ -54,7 +57,7 @@ def check_partition(
         raise CertificateError(
             f"leaf {numbers[np.argmin((lower <= upper).all(axis=1))]} is not a box"
         )
-    grid = _Grid.of(start_lower, start_upper, lower, upper)
+    grid = _Grid.of(start_lower, start_upper, lower, upper, same)
     wide = np.flatnonzero(grid.first < grid.last)  # a flat axis cannot be divided
     parts = [(grid.first, grid.last, np.arange(len(lower)))]
     while parts:
@@ -93,14 +96,19 @@ class _Grid(NamedTuple):
 
     @classmethod
     def of(
-        cls, start_lower: np.ndarray, start_upper: np.ndarray, lower: np.ndarray, upper: np.ndarray
+        cls,
+        start_lower: np.ndarray,
+        start_upper: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        same: float,
     ) -> _Grid:
         table = np.vstack([lower, upper, start_lower, start_upper])
         ranks, distinct = np.empty(table.shape, np.int64), []
         for axis, column in enumerate(table.T):
             values, places = np.unique(column, return_inverse=True)
             begin, end = column[-2:]
-            tolerance = SAME * (min(end - begin, 1.0) or max(1.0, abs(begin)))
+            tolerance = same * (min(end - begin, 1.0) or max(1.0, abs(begin)))
             rank = np.concatenate([[0], np.cumsum(np.diff(values) > tolerance)])
             ranks[:, axis] = rank[places]
             distinct.append(values[np.concatenate([[True], np.diff(rank) > 0])])

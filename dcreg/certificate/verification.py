@@ -19,11 +19,12 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from dcreg import text
+from dcreg.certificate.exact import ExactProof, interval
 from dcreg.certificate.format import (
     PRUNED,
     Certificate,
     CertificateError,
-    NoCertificateError,
+    NothingToCheckError,
     UnprovenError,
     check_shapes,
     digest,
@@ -34,6 +35,7 @@ from dcreg.certificate.objective import Objective
 from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Progress, Proof, check_partition
 
+EXACT_MODEL = "similarity2d"  # the bounds of others need roots
 MAX_DENSE = 4_000_000  # pairs of points up to which cost matrices are formed
 
 
@@ -90,6 +92,7 @@ def verify(
     *,
     max_boxes: int | None = None,
     n_samples: int = 500,
+    exact: bool = False,
     progress: Progress | None = None,
 ) -> Report:
     """Check a certificate against its clouds, independently of the search.
@@ -108,6 +111,9 @@ def verify(
         rigid 3D poses. The smaller bound that the tolerance permits is then tried with as many.
     n_samples : int
         Number of random parameters that are compared with the bounds of their leaves.
+    exact : bool
+        Also prove both bounds in integers, so that no conclusion depends on rounding. Model
+        ``similarity2d`` only.
     progress : callable, optional
         Called with the number of boxes bounded and the number known to be needed, which may increase.
 
@@ -144,12 +150,12 @@ def verify(
             report.checks.append(f"complete and unchanged: {n_leaves}, with the right checksum")
         _check(
             report, certificate, np.asarray(source, dtype=np.float64),
-            np.asarray(target, dtype=np.float64), max_boxes, n_samples, progress,
+            np.asarray(target, dtype=np.float64), max_boxes, n_samples, exact, progress,
         )  # fmt: skip
         report.accepted = True
     except CertificateError as error:
         report.reason = str(error)
-        report.is_certificate = not isinstance(error, NoCertificateError)
+        report.is_certificate = not isinstance(error, NothingToCheckError)
     report.time_s = time.perf_counter() - began
     return report
 
@@ -161,9 +167,14 @@ def _check(
     target: np.ndarray,
     max_boxes: int | None,
     n_samples: int,
+    exact: bool,
     progress: Progress | None,
 ) -> None:
     """Run all checks except that of the file; list each check passed in `report`."""
+    if exact and c.model != EXACT_MODEL:
+        raise NothingToCheckError(
+            f"exact: no exact check for model {c.model!r}, only for {EXACT_MODEL!r}; verify without it"
+        )
     check_clouds(c, source, target)
     report.checks.append(f"made for these clouds: {len(source)} and {len(target)} points")
 
@@ -175,8 +186,8 @@ def _check(
     objective = objective_of(c, source, target)
     # rounding: relative to the claim, and to a residual of the size of the cloud
     slack = 1e-9 * abs(c.lower_bound) + 1e-12 * c.n_inliers + objective.rounding
-    exact = exact_up_to(c, source, target)
-    check_claim(c, slack, exact)
+    exact_fit = exact_up_to(c, source, target)
+    check_claim(c, slack, exact_fit)
     report.checks.append("the stated bounds, reasons and tolerance are consistent")
     if objective.only_optima:  # then no single pose contradicts more than the claim
         most = max(c.lower_bound, c.upper_bound - c.gap_tol) + slack
@@ -194,24 +205,39 @@ def _check(
         tried = check_samples(objective, c, slack, n_samples)
         report.checks.append(f"none of {tried} sampled parameters is below the bound of its leaf")
         most = max_boxes or 1000 + objective.boxes_per_leaf * len(c.leaf_bounds)
-        proof = Proof(objective, slack, most, progress)
-        lower_bound = _prove(report, proof, c)
+        if exact:
+            proof = ExactProof(c, source, target, objective.feasible, most, progress)
+            attained = proof.check(c)
+            report.checks.append(
+                "exactly: the leaves are a partition, the claim follows from their bounds, and the "
+                "stated parameter attains the upper bound up to rounding"
+            )
+            lower_bound = _prove(report, proof, c)
+            *ends, report.lower_bound, report.upper_bound = interval(c, lower_bound, attained)
+        else:
+            lower_bound = _prove(report, Proof(objective, slack, most, progress), c)
+            report.lower_bound = lower_bound * area
+            ends = [f"{end:.9g}" for end in (report.lower_bound, report.upper_bound)]
     finally:
         report.n_assignments = objective.n_assignments
-    report.lower_bound = lower_bound * area
+    _state(report, c, objective.scope, ends, "exactly " * exact)
+    report.is_trivial = lower_bound <= 0.0 and c.upper_bound > exact_fit
+
+
+def _state(report: Report, c: Certificate, scope: str, ends: list[str], how: str) -> None:
+    """State what is proven: between which ends the minimum lies."""
     report.checks.append(
-        f"on every leaf the objective is at least {report.lower_bound:.9g}, "
-        f"proven on {text.count(report.n_boxes, 'box', 'boxes')}"
+        f"on every leaf the objective is at least {ends[0]}, "
+        f"proven {how}on {text.count(report.n_boxes, 'box', 'boxes')}"
     )
     among = f" among {len(c.candidates)} candidates" if len(c.candidates) else ""
     report.statement = (
-        f"{objective.scope}: the minimum sum of squared residuals over {c.n_inliers} one-to-one "
-        f"pairs{among} lies in [{report.lower_bound:.9g}, {report.upper_bound:.9g}]"
+        f"{scope}: the minimum sum of squared residuals over {c.n_inliers} one-to-one "
+        f"pairs{among} lies {how}in [{ends[0]}, {ends[1]}]"
     )
-    report.is_trivial = lower_bound <= 0.0 and c.upper_bound > exact
 
 
-def _prove(report: Report, proof: Proof, c: Certificate) -> float:
+def _prove(report: Report, proof: Proof | ExactProof, c: Certificate) -> float:
     """Prove the stated lower bound, or the smaller one that the tolerance permits; return it.
 
     The search may state a bound that is almost the optimum. If the optimum is attained on a curve or

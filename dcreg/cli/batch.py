@@ -18,9 +18,10 @@ import typer
 
 import dcreg
 from dcreg.cli import output
+from dcreg.cli.files import BatchFiles
 from dcreg.cli.interrupts import SIGNALS
 from dcreg.cli.numbers import parse_count
-from dcreg.cli.options import BatchFiles, Poses, Search
+from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Row, Task, columns, edge_of, failed
 from dcreg.cli.workers import solve_all
 from dcreg.files import write_text

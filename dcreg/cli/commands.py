@@ -12,16 +12,10 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.app import app, command, required_count, run_search
+from dcreg.cli.files import BatchFiles, Outputs, SearchFiles
 from dcreg.cli.numbers import parse_counts
-from dcreg.cli.options import (
-    BatchFiles,
-    CloudFiles,
-    MatchSearch,
-    Outputs,
-    Poses,
-    Quiet,
-    Search,
-)
+from dcreg.cli.options import CloudFiles, Goal, MatchSearch, Poses, Quiet, Search
+from dcreg.cli.weights import WeightFiles
 from dcreg.names import FIGURE_PACKAGES
 
 if TYPE_CHECKING:
@@ -69,12 +63,12 @@ def _finish(
 def register(
     *,
     clouds: CloudFiles,
-    n_inliers: str | None = None,
+    goal: Goal,
     search: Search,
     poses: Poses,
-    max_rms: float | None = None,
+    weights: WeightFiles,
     outputs: Outputs,
-    certificate_path: Path | None = None,
+    files: SearchFiles,
     quiet: Quiet = False,
 ) -> int:
     """Register SOURCE to TARGET and certify the result.
@@ -84,27 +78,20 @@ def register(
     Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C
     (the best pose is still written); 4 an output file could not be written; 6 refuted
     (--max-rms: proven that no pose fits so well).
-
-    Parameters
-    ----------
-    max_rms : D
-        Only decide whether a pose matches K pairs with at most this RMS residual.
-    n_inliers : K
-        Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
-        a fraction: '1' is one pair, '1.0' is all pairs. Required; `dcreg sweep` helps to choose it.
-    certificate_path : OUT.npz
-        Write a certificate for `dcreg verify`.
     """
-    paths = {**outputs.paths, "--certificate": certificate_path}
-    outputs.check(paths, *clouds.names.values(), search.candidates_path, poses.init)
-    count = required_count(n_inliers)
+    paths = {**outputs.paths, **files.paths}
+    weight_paths = weights.source_weights_path, weights.target_weights_path
+    outputs.check(paths, *clouds.names.values(), search.candidates_path, poses.init, *weight_paths)
+    count = required_count(goal.n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
-    options["certificate"] = certificate_path is not None
+    keywords["weights"] = weights.settings(clouds)
+    options["certificate"] = files.certificate_path is not None
+    options["checkpoint"] = files.checkpoint_path
     keywords["pose_range"], options["init"] = poses.settings()
-    keywords |= {"n_inliers": count, "max_rms": max_rms}
+    keywords |= {"n_inliers": count, "max_rms": goal.max_rms}
     result = run_search(dcreg.register, *points, quiet=quiet, options=options, **keywords)
-    return _finish(result, points, clouds, outputs, certificate_path)
+    return _finish(result, points, clouds, outputs, files.certificate_path)
 
 
 @command
@@ -221,7 +208,9 @@ def batch(
 
 
 @command
-def verify(*, certificate: Path, clouds: CloudFiles, quiet: Quiet = False) -> int:
+def verify(
+    *, certificate: Path, clouds: CloudFiles, exact: bool = False, quiet: Quiet = False
+) -> int:
     """Check a certificate against its clouds, using only NumPy and SciPy.
 
     Exit code: 0 the claim is proven, or true but trivial; 2 bad input;
@@ -231,12 +220,16 @@ def verify(*, certificate: Path, clouds: CloudFiles, quiet: Quiet = False) -> in
     ----------
     certificate : CERT
         File written by --certificate.
+    exact : switch
+        Also prove both bounds in integers, without any rounding (model similarity2d).
     """
     from dcreg.cli.progress import Progress
 
     points, check = clouds.read(), dcreg.verify
     with Progress(quiet=quiet, step="checking the statements of the certificate") as progress:
-        report = progress.run(partial(check, certificate, *points, progress=progress.prove))
+        report = progress.run(
+            partial(check, certificate, *points, exact=exact, progress=progress.prove)
+        )
     if not report.is_certificate:
         raise dcreg.InputError(report.reason)
     for passed in report.checks:

@@ -11,13 +11,11 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, is_dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
 import dcreg
-from dcreg.cli import output
 from dcreg.cli.numbers import number, parse_axis, whole_number
 from dcreg.names import (
     AUTO,
@@ -165,6 +163,23 @@ class CloudFiles:
     def in_files(self, results: list[Any]) -> list[Any]:
         """Return results whose pairs are rows of the files."""
         return results if self.rows is None else self.rows.in_files(results)
+
+
+@dataclass
+class Goal:
+    """What a registration is to find.
+
+    Attributes
+    ----------
+    n_inliers : K
+        Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
+        a fraction: '1' is one pair, '1.0' is all pairs. Required; `dcreg sweep` helps to choose it.
+    max_rms : D
+        Only decide whether a pose matches K pairs with at most this RMS residual.
+    """
+
+    n_inliers: str | None = None
+    max_rms: float | None = None
 
 
 @dataclass
@@ -317,80 +332,3 @@ class MatchSearch:
     abs_gap: float | None = None
     time_limit: float = DEFAULT_TIME_LIMIT_S
     node_limit: int | None = None
-
-
-@dataclass
-class AnswerFiles:
-    """The files of the answer to a question.
-
-    Attributes
-    ----------
-    json_path : OUT
-        Write the answer; '-' is standard output.
-    plot_path : OUT.html
-        Write a page with the clouds at each pose.
-    """
-
-    json_path: Path | None = None
-    plot_path: Path | None = None
-
-    def check(self, *inputs: str | None) -> None:
-        """Refuse before the search what could not be written."""
-        output.check_outputs({"--json": self.json_path, "--plot": self.plot_path}, *inputs)
-        output.check_figure(self.plot_path, [".html"])
-
-
-@dataclass
-class BatchFiles:
-    """The files that a batch writes.
-
-    Attributes
-    ----------
-    out_path : OUT.csv
-        Write a row for each pair: status, pose, bounds or error. It is written whole after each pair.
-    graph_path : OUT.g2o
-        Write the poses as a pose graph for g2o. In 2D it needs --scale-range 1 1.
-    """
-
-    out_path: Path
-    graph_path: Path | None = None
-
-    def check(self, *inputs: str | None) -> None:
-        """Refuse before the searches what could not be written."""
-        output.check_suffix("--out", self.out_path, [".csv"])
-        output.check_suffix("--graph", self.graph_path, [".g2o"])
-        output.check_outputs({"--out": self.out_path, "--graph": self.graph_path}, *inputs)
-
-
-@dataclass
-class Outputs:
-    """The files of one registration.
-
-    Attributes
-    ----------
-    json_path : OUT
-        Write the result; '-' is standard output.
-    trace_path : OUT.jsonl
-        Write the bound history.
-    plot_path : OUT.html
-        Write a page with figures.
-    output_path : OUT
-        Write the source moved by the final pose: {cloud_suffixes}. In the format of the source, its other
-        attributes are kept, and normals are rotated.
-    """
-
-    json_path: Path | None = None
-    trace_path: Path | None = None
-    plot_path: Path | None = None
-    output_path: Path | None = None
-
-    @property
-    def paths(self) -> dict[str, Path | None]:
-        """The file of each option."""
-        return {flag(name): path for name, path in vars(self).items()}
-
-    def check(self, paths: dict[str, Path | None], *inputs: str | None) -> None:
-        """Refuse before the search what could not be written; `paths` are those of all options."""
-        output.check_outputs(paths, *inputs)
-        output.check_figure(self.plot_path, [".html"])
-        output.check_suffix("--output", self.output_path, CLOUD_SUFFIXES)

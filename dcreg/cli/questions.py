@@ -11,7 +11,8 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.app import command, required_count, run_search
-from dcreg.cli.options import AnswerFiles, CloudFiles, Poses, Quiet, Search
+from dcreg.cli.files import AnswerFiles
+from dcreg.cli.options import CloudFiles, Poses, Quiet, Search
 from dcreg.names import DEFAULT_RATIO, DEFAULT_TIME_LIMIT_S
 
 if TYPE_CHECKING:

@@ -34,6 +34,14 @@ class Rows:
         """Return the rows of the finite points."""
         return cls(np.flatnonzero(np.isfinite(points).all(axis=1)), len(points))
 
+    def valid(self, weights: np.ndarray, path: str | None) -> np.ndarray:
+        """Return those of the numbers of a file, one per row, that are searched."""
+        if len(weights) != self.n_rows:
+            raise dcreg.InputError(
+                f"{path}: {len(weights)} numbers for {self.n_rows} points; give one per point"
+            )
+        return weights[self.kept]
+
     @property
     def n_dropped(self) -> int:
         """Number of rows that are not searched."""

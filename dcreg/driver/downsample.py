@@ -79,7 +79,10 @@ def _check(count: int, problem: Problem, certificate: bool) -> None:
         raise InputError(
             f"downsample: {count!r}; give a whole number of points, at least {problem.dim}, such as 200"
         )
-    given = {"candidates": problem.candidates is not None, "certificate": certificate}
+    given = {
+        "candidates": problem.candidates is not None, "certificate": certificate,
+        "weights": problem.weights is not None,
+    }  # fmt: skip
     for name in filter(given.get, given):
         raise InputError(f"downsample: {name} would not be used with a sample; omit one of the two")
 
@@ -90,7 +93,7 @@ def default_sample(problem: Problem, bound: str | None, certificate: bool) -> in
     A sample of large clouds gives a better pose than all points.
     """
     n, m = len(problem.source), len(problem.target)
-    free = bound is None and not certificate and problem.candidates is None
+    free = bound is None and not certificate and problem.candidates is problem.weights is None
     # a small cloud is not sampled to match a large one: that would leave it few partners
     is_lopsided = problem.dim == 3 and n * m <= NORM_PAIRS
     pairs = min(n, m) ** 2 if is_lopsided else n * m

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from dcreg.assignment.objective import AT_ONCE_PAIRS
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.families.mode import Mode, load_mode
 from dcreg.families.registry import bound_parts, make_bound
@@ -117,12 +118,31 @@ def check_mode(
             raise InputError(
                 "certificate: `dcreg verify` knows no ranges of poses; omit certificate or pose_range"
             )
+    if problem.weights is not None:
+        _check_weights(mode, problem, {"certificate": certificate, "max_rms": has_max_rms})
     n, m = len(problem.source), len(problem.target)
     if n * m > MAX_PAIRS and not _is_matrix_free(mode, problem, bound):
         remedy = "downsample both clouds first (downsample=200, or --downsample 200)"
         if problem.model == "rigid3d":
             remedy += f", or use mode 'paper' with bound {DEFAULT_BOUND!r} and without candidates"
         raise InputError(f"source, target: {n} x {m} pairs exceed {MAX_PAIRS:,}; {remedy}")
+
+
+def _check_weights(mode: Mode, problem: Problem, others: dict[str, bool]) -> None:
+    """Refuse weights with a mode, a range, clouds or other settings that would ignore them."""
+    if not mode.takes_weights:
+        raise InputError(
+            f"weights: {problem.model} in mode {mode.name!r} takes none; use similarity2d, or rigid3d in "
+            "mode 'full' without bound"
+        )
+    others = {"pose_range": problem.pose_range is not None, **others}
+    for name in filter(others.get, others):
+        raise InputError(f"{name}: takes no weights; omit {name} or weights")
+    n, m = problem.weights.factors.shape if problem.weights else (0, 0)
+    if n * m > AT_ONCE_PAIRS:
+        raise InputError(
+            f"weights: {n} x {m} pairs exceed {AT_ONCE_PAIRS:,}; thin both clouds first, or omit weights"
+        )
 
 
 def check_bound(mode: Mode, bound: str | None) -> None:
@@ -159,6 +179,8 @@ def space_of(mode: Mode, problem: NormalisedProblem) -> Any:
     """Return the space of the certified search."""
     given = "source", "target", "n_inliers", *mode.needs, "candidates", "budget.stop"
     fields = attrgetter(*given, "stationary_box")(problem)
+    if problem.weights is not None:
+        return mode.space(*fields).weighted(problem.weights)
     if problem.region is None:
         return mode.space(*fields)
     assert mode.in_region is not None
@@ -244,9 +266,10 @@ class Attempt:
         """Minimise the objective over the space."""
         mode, problem, make_cover = self.mode, self.problem, None
         # Only with the mode's own bound, so that another one is used alone. A cover contains the
-        # stationary poses of the model, which need not be those of a region.
+        # stationary poses of the model without weights, which need not be those of a region.
         is_own = problem.bound == mode.own_bound and problem.region is None
-        if start is None and problem.init is not None:
+        is_own = is_own and problem.weights is None
+        if start is None and problem.init is not None and budget.resumed is None:
             start = self.start(budget)
         if mode.make_cover is not None and is_own:
             make_cover = functools.partial(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.problem import Frame
+from dcreg.problem import Frame, PairWeights
 from dcreg.result import Stage
 from dcreg.search import Box, Budget, Event, Outcome, Tolerance
 from dcreg.status import Status
@@ -42,6 +42,7 @@ class NormalisedProblem:
         The admissible poses (``dcreg.families.region``); None: all of the model.
     init : (d+1, d+1) array, optional
         An initial guess of the pose.
+    weights : PairWeights, optional
     """
 
     source: np.ndarray
@@ -59,6 +60,7 @@ class NormalisedProblem:
     patience_s: float | None = None
     region: Any = None
     init: np.ndarray | None = None
+    weights: PairWeights | None = None
 
     @property
     def dim(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,6 +62,11 @@ class SolveOptions:
     init : (d+1, d+1) array, optional
         An initial guess of the pose, from which one more local search starts. It gives an upper bound at
         once and does not limit the search; see `PoseRange` for that.
+    checkpoint : path, optional
+        A file in which `dcreg.register` saves the state of its search every two minutes and at its end.
+        If the file exists, the search continues from it; the problem and the options that change the
+        search must be the same. The time limit counts from now on, `node_limit` and
+        `assignment_limit` count all the work. Mode ``paper`` in 3D and limited `pose_range` have none.
     listener : callable, optional
         Called with every `dcreg.Event`. If none occurs for a quarter of a second, it is called with an
         event of kind ``heartbeat`` from another thread. If it returns True, the solve stops with status
@@ -69,8 +75,8 @@ class SolveOptions:
     Raises
     ------
     InputError
-        For an unknown start box, a wrong number of threads, a switch that is not a bool, or a
-        listener that cannot be called.
+        For an unknown start box, a wrong number of threads, a switch that is not a bool, a checkpoint
+        that is not a path, or a listener that cannot be called.
     """
 
     mode: str | None = None
@@ -83,6 +89,7 @@ class SolveOptions:
     prove: bool = False
     assignment_limit: int | None = None
     init: Any = None
+    checkpoint: str | os.PathLike[str] | None = None
     listener: Listener | None = None
 
     def __post_init__(self) -> None:
@@ -99,6 +106,10 @@ class SolveOptions:
         for name in ("polish", "certificate", "prove"):
             if not isinstance(value := getattr(self, name), bool | np.bool_):
                 raise InputError(f"{name}: {value!r} is not a bool; give True or False")
+        if not isinstance(self.checkpoint, str | os.PathLike | None):
+            raise InputError(
+                f"checkpoint: {self.checkpoint!r} is not a path; give one such as 'a.npz'"
+            )
         if not (self.listener is None or callable(self.listener)):
             raise InputError(
                 f"listener: {self.listener!r} cannot be called; give a function of one dcreg.Event"

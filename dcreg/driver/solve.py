@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -43,6 +43,9 @@ from dcreg.result import Result, Stage, Trace
 from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget, Event, Listener
 from dcreg.status import Status
+
+if TYPE_CHECKING:
+    from dcreg.driver.checkpoint import CheckpointFile
 
 _LOGGER = logging.getLogger("dcreg")
 # Seconds for a proof by default. A proof about a sample says little about all points, so it gets less.
@@ -82,6 +85,8 @@ class Setup:
     options : SolveOptions
     time_s : float
         Seconds that the decisions took, compilation included.
+    checkpoint : CheckpointFile, optional
+        ``options.checkpoint``, opened.
     """
 
     problems: Sequence[Problem]
@@ -91,6 +96,7 @@ class Setup:
     limits: Limits
     options: SolveOptions
     time_s: float
+    checkpoint: CheckpointFile | None = None
 
     @classmethod
     def of(
@@ -136,6 +142,11 @@ class Setup:
         chosen = mode or find_mode(largest.model, name)
         check_mode(chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms)
         limits.check(largest.n_inliers)
+        checkpoint = None
+        if options.checkpoint is not None:
+            from dcreg.driver.checkpoint import open_checkpoint  # few searches need it
+
+            checkpoint = open_checkpoint(largest, chosen, limits, options)
         for line in advice(largest):
             _LOGGER.info(line)
         if mode is None:
@@ -145,7 +156,7 @@ class Setup:
                 warm_up_region(chosen)
         frame = Frame.of(largest)
         time_s = time.perf_counter() - began
-        return cls(problems, searched, frame, chosen, limits, options, time_s)
+        return cls(problems, searched, frame, chosen, limits, options, time_s, checkpoint)
 
     @property
     def is_sampled(self) -> bool:
@@ -154,9 +165,11 @@ class Setup:
 
     def budget(self) -> Budget:
         """Start the clock; the listener receives events in the units of the input."""
-        return self.limits.budget(
-            self.options, in_input_units(self.options.listener, self.frame.area)
-        )
+        listener = in_input_units(self.options.listener, self.frame.area)
+        budget = self.limits.budget(self.options, listener)
+        if self.checkpoint is not None:
+            self.checkpoint.attach(budget)
+        return budget
 
     def _patience_s(self) -> float | None:
         """Return how long a proof may take; None: until the limit."""
@@ -180,6 +193,7 @@ class Setup:
             tolerance.scaled(1.0 / frame.area), options.threads, budget, options.certificate,
             self._patience_s(), _region(problem, frame),
             None if options.init is None else frame.normalised_pose(options.init),
+            None if problem.weights is None else problem.weights.scaled(1.0 / frame.area),
         )  # fmt: skip
 
 
@@ -221,7 +235,9 @@ class Finish:
         if problem.pose_range is None:  # the covariance is that of free poses
             low, high = problem.scale_range
             has_scale = problem.has_scale and low < high
-            result = with_uncertainty(result, problem.source, problem.target, has_scale=has_scale)
+            weights = None if problem.weights is None else problem.weights.of(result.assignment)
+            clouds = problem.source, problem.target
+            result = with_uncertainty(result, *clouds, weights, has_scale=has_scale)
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
 
     def _exact(self, result: Result) -> Result:
@@ -272,7 +288,7 @@ class Finish:
             n_inliers=problem.n_inliers, lower_bound=solution.lower_bound, upper_bound=upper_bound,
             max_rms=self.setup.limits.max_rms,
             gap_tol=tolerance.allowed(upper_bound), is_exact=tolerance.is_exact(upper_bound),
-            certificate_scope=solution.scope,
+            certificate_scope=solution.scope + ", weighted points" * (problem.weights is not None),
             objective=final, objective_certified=before[0],
             n_nodes=sum(stage.n_nodes for stage in solution.stages),
             n_assignments=sum(stage.n_assignments for stage in solution.stages),
@@ -322,7 +338,12 @@ class Finish:
 
 
 def with_uncertainty(
-    result: Result, source: np.ndarray, target: np.ndarray, *, has_scale: bool = False
+    result: Result,
+    source: np.ndarray,
+    target: np.ndarray,
+    weights: np.ndarray | None = None,
+    *,
+    has_scale: bool = False,
 ) -> Result:
     """Return the result with the covariance of its pose, and the directions that the clouds leave open.
 
@@ -330,6 +351,8 @@ def with_uncertainty(
     ----------
     result : Result
     source, target : (n, d), (m, d) arrays
+    weights : (n_inliers,) array, optional
+        Of the pairs.
     has_scale : bool
         Whether the scale was free.
     """
@@ -337,7 +360,7 @@ def with_uncertainty(
     matched, moved = source[rows], apply_pose(result.T_target_source, source[rows])
     return replace(
         result,
-        covariance=pose_covariance(pose, matched, target[columns], has_scale=has_scale),
+        covariance=pose_covariance(pose, matched, target[columns], weights, has_scale=has_scale),
         open_directions=open_directions(moved, target, has_scale=has_scale),
     )
 

@@ -66,6 +66,8 @@ def sweep_problems(
     """Solve problems that differ in `n_inliers`, given in ascending order; see `dcreg.sweep`."""
     if options.certificate:
         raise InputError("certificate: a sweep keeps none; use register for one n_inliers")
+    if options.checkpoint is not None:
+        raise InputError("checkpoint: only register and certify save one; omit it")
     setup = Setup.of(problems, limits, options)
     with setup.budget() as budget:
         solve = _Sweep(setup, budget)

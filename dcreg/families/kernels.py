@@ -19,7 +19,12 @@ class Clouds(NamedTuple):
     target : (d, m) array, or (m,) array of norms
         When a kernel is compiled, the number of dimensions distinguishes norms from points.
     infeasibility_penalty : (n, m) array, or (0, 0) if every pair is feasible
-        Cost of a pair in addition to its residual: 0, or a penalty if the pair is infeasible.
+        Cost of a pair in addition to its squared residual: 0, or a penalty if the pair is infeasible or
+        light.
+    weights : (n, m) array, or (0, 0) if all are 1
+        Factors between 0 and 1 of the costs of pairs, `infeasibility_penalty` included.
+    heaviest : (n,) array
+        The maximum weight of the pairs of each source point.
     k : int
         Number of pairs to match.
     stop : (1,) uint8 array
@@ -29,6 +34,8 @@ class Clouds(NamedTuple):
     source: np.ndarray
     target: np.ndarray
     infeasibility_penalty: np.ndarray
+    weights: np.ndarray
+    heaviest: np.ndarray
     k: int
     stop: np.ndarray
 
@@ -39,6 +46,14 @@ def add_penalty(penalty, costs):
     for i in range(penalty.shape[0]):
         for j in range(penalty.shape[1]):
             costs[i, j] += penalty[i, j]
+
+
+@jit_part
+def weigh(weights, costs):
+    """Multiply (n, m) costs by the weights of pairs; nothing if `weights` is empty."""
+    for i in range(weights.shape[0]):
+        for j in range(weights.shape[1]):
+            costs[i, j] *= weights[i, j]
 
 
 class NearnessField(NamedTuple):

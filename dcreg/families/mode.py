@@ -54,6 +54,8 @@ class Mode:
         The space of the poses in a ``region=`` (``dcreg.families.region``), otherwise like `space`, and
         its bound like `make_bound`, or None if the user chooses it. Returned by a function without
         arguments, so that they are imported only if needed. None: only all poses can be searched.
+    takes_weights : bool
+        Whether space and bounds hold with weights of points.
     stage : str
         Name of the certified search in events and stages.
     name, model : str
@@ -71,6 +73,7 @@ class Mode:
     in_norm_space: bool = False
     certifies: str = ""
     in_region: Callable[[], tuple[Callable[..., Any], Callable[..., Bound] | None]] | None = None
+    takes_weights: bool = False
     stage: str = "search"
     name: str = ""
     model: str = ""

@@ -13,8 +13,10 @@ import numpy as np
 
 from dcreg.assignment.descent import alternate
 from dcreg.families.kernels import Clouds
+from dcreg.families.pairs import infeasibility_penalty, weighted_clouds
 from dcreg.jit import NEVER
-from dcreg.search import Bound, Box, Boxes, Budget, Evaluation, Interrupted
+from dcreg.problem import PairWeights
+from dcreg.search import Bound, Box, Boxes, Budget, Evaluation, Interrupted, Stored
 
 Arrays = TypeVar("Arrays", bound=tuple[Any, ...])
 
@@ -82,10 +84,27 @@ class Space(abc.ABC):
             infeasibility_penalty(
                 candidates, n_inliers, max_scale * radius(source) + radius(target)
             ),
+            np.empty((0, 0)),
+            np.ones(len(source)),
             n_inliers,
             stop_flag,
         )
         self.candidates, self.stationary_box = candidates, stationary_box
+
+    def weighted(self, weights: PairWeights) -> Self:
+        """Set the weights of pairs, and return the space."""
+        self.clouds = weighted_clouds(self.clouds, weights)
+        return self
+
+    def weights_of(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
+        """Return the weights of pairs; None if all are 1."""
+        weights = self.clouds.weights
+        return weights[rows, columns] if weights.size else None
+
+    @property
+    def lightest(self) -> float:
+        """The minimum weight of a pair; the maximum is 1."""
+        return float(self.clouds.weights.min(initial=1.0))
 
     @staticmethod
     def target_features(target: np.ndarray) -> np.ndarray:
@@ -223,39 +242,6 @@ class Space(abc.ABC):
         return self.seeds()[0] if best is None else best, value, spent
 
 
-def means_of_subsets(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return, per axis of (d, n) points, the minimum and maximum mean of any `count` of them."""
-    low = np.array([-mean_of_largest(-values, count) for values in points])
-    high = np.array([mean_of_largest(values, count) for values in points])
-    # if all points are taken, both are equal up to rounding, which may reverse their order
-    return np.minimum(low, high), np.maximum(low, high)
-
-
-def mean_of_largest(values: np.ndarray, count: int) -> float:
-    """Return the mean of the `count` largest numbers: the maximum mean of any `count` of them."""
-    return float(np.sort(values)[-count:].mean())
-
-
-def infeasibility_penalty(
-    candidates: np.ndarray | None, n_inliers: int, extent: float
-) -> np.ndarray:
-    """Return the additional cost of each pair: 0, or more than the cost of any feasible matching.
-
-    Parameters
-    ----------
-    candidates : (n, m) bool array or None
-        The feasible pairs; None: all, and the result is empty.
-    n_inliers : int
-    extent : float
-        Sum of the maximum distances of the source, at its maximum scale, and of the target from the
-        origin. No residual of an admissible pose exceeds ``2 sqrt(2) extent``, so one infeasible pair
-        costs more than any matching without one.
-    """
-    if candidates is None:
-        return np.empty((0, 0))
-    return np.where(candidates, 0.0, 16.0 * n_inliers * extent**2)
-
-
 def rows_of(arrays: Arrays, part: slice) -> Arrays:
     """Return some rows of every array of a named tuple, which may hold further ones."""
     rows = (rows_of(a, part) if isinstance(a, tuple) else a[part] for a in arrays)
@@ -293,6 +279,8 @@ class SpaceBound(abc.ABC, Generic[S]):
         Spaces that it bounds.
     n_assignments : int
         Exact assignments solved so far.
+    stored : Stored, optional
+        What the bound remembers about boxes.
     round_pairs, max_round : int
         Maximum number of pairs and of boxes in one round: enough to keep threads busy, few enough for
         the search to stay interruptible.
@@ -301,6 +289,7 @@ class SpaceBound(abc.ABC, Generic[S]):
     name: ClassVar[str] = ""
     space_type: ClassVar[type[Space]]
     round_pairs, max_round = 8_000_000, 256
+    stored: Stored | None = None
 
     def __init__(self, space: S, roots: Sequence[Box] | None = None, threads: int = 1) -> None:
         self.space = space

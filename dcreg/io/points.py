@@ -12,10 +12,11 @@ import numpy as np
 from dcreg.io.arrays import read_mat, read_npy, read_npz
 from dcreg.io.mesh import read_off, read_pcd, read_ply
 from dcreg.io.scans import read_e57, read_las
-from dcreg.io.text import DIMENSIONS, Points, fail, naming, read_text
+from dcreg.io.text import DIMENSIONS, Points, fail, naming, read_column, read_text
 
 # Every reader takes the file and a key, the name of an array or the number of a scan.
-READERS: dict[str, Callable[[BinaryIO, str | None], Points]] = {
+Reader = Callable[[BinaryIO, str | None], Points]
+READERS: dict[str, Reader] = {
     ".txt": read_text,
     ".csv": read_text,
     ".xyz": partial(read_text, any_width=True),
@@ -29,6 +30,7 @@ READERS: dict[str, Callable[[BinaryIO, str | None], Points]] = {
     ".laz": read_las,
     ".e57": read_e57,
 }
+WEIGHT_READERS: dict[str, Reader] = {".txt": read_column, ".csv": read_column, ".npy": read_npy}
 KEYED_SUFFIXES = (".npz", ".mat", ".e57")
 MAX_ROWS = 2**31  # of a cloud
 
@@ -62,22 +64,52 @@ def read_points(
         package that reads it is not installed.
     """
     path, key = split_key(path, key)
-    suffix = path.suffix.lower()
+    # NaN and infinity are found later, also those that a conversion of numbers makes
+    with naming(path), np.errstate(all="ignore"):
+        return _checked(_loaded(path, key, READERS), keep_invalid)
+
+
+def read_weights(path: str | Path) -> np.ndarray:
+    """Read the weights of the points of a cloud, for `dcreg.PointWeights`.
+
+    Parameters
+    ----------
+    path : str or Path
+        A ``.txt`` or ``.csv`` file with one number per line, or a ``.npy`` file.
+
+    Returns
+    -------
+    (n,) float64 array
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or does not hold one number per point.
+    """
+    path = Path(path)
     with naming(path):
-        if path.is_dir():
-            fail("is a folder", "give the path of a point file")
-        if suffix not in READERS:
-            fail(f"unknown extension '{path.suffix}'", f"use one of: {' '.join(READERS)}")
-        if key is not None and suffix not in KEYED_SUFFIXES:
-            fail(f"key '{key}' given, but {suffix} files have none", "drop the key")
-        try:
-            # NaN and infinity are found later, also those that a conversion of numbers makes
-            with path.open("rb") as stream, np.errstate(all="ignore"):
-                return _checked(READERS[suffix](stream, key), keep_invalid)
-        except FileNotFoundError:
-            fail("no such file", f"check the path (working folder: {Path.cwd()})")
-        except OSError as error:
-            fail(f"cannot be read: {error.strerror or error}", "check permissions and the disk")
+        weights = _loaded(path, None, WEIGHT_READERS).array
+        if weights.ndim != 1 or not weights.size:
+            fail(f"the array has shape {weights.shape}", "give one number per point")
+        return np.asarray(weights, dtype=np.float64)
+
+
+def _loaded(path: Path, key: str | None, readers: dict[str, Reader]) -> Points:
+    """Return what a file holds, by the reader of its extension."""
+    suffix = path.suffix.lower()
+    if path.is_dir():
+        fail("is a folder", "give the path of a file")
+    if suffix not in readers:
+        fail(f"unknown extension '{path.suffix}'", f"use one of: {' '.join(readers)}")
+    if key is not None and suffix not in KEYED_SUFFIXES:
+        fail(f"key '{key}' given, but {suffix} files have none", "drop the key")
+    try:
+        with path.open("rb") as stream:
+            return readers[suffix](stream, key)
+    except FileNotFoundError:
+        fail("no such file", f"check the path (working folder: {Path.cwd()})")
+    except OSError as error:
+        fail(f"cannot be read: {error.strerror or error}", "check permissions and the disk")
 
 
 def split_key(path: str | Path, key: str | None) -> tuple[Path, str | None]:

@@ -69,6 +69,12 @@ def read_text(stream: BinaryIO, _: str | None, *, any_width: bool = False) -> Po
     return numbers_of(table.rows, table.columns, table.width)
 
 
+def read_column(stream: BinaryIO, _: str | None) -> Points:
+    """Read one number per line."""
+    rows = list(rows_of(lines_of(stream.read())))
+    return Points(numbers_of(rows, [0], 1).array[:, 0])
+
+
 def text_table(content: bytes, *, any_width: bool) -> TextTable:
     """Return the rows of a text file and find its coordinates, see `read_text`."""
     rows = list(rows_of(lines_of(content)))

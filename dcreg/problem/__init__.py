@@ -28,3 +28,4 @@ from dcreg.problem.uncertainty import (
     open_directions,
     pose_covariance,
 )
+from dcreg.problem.weights import PairWeights, PointWeights

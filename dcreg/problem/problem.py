@@ -14,6 +14,7 @@ from dcreg.names import MODEL_DIM
 from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.geometry import fit_pose
 from dcreg.problem.pose_range import PoseRange
+from dcreg.problem.weights import PairWeights, PointWeights
 
 # (n, m) mask, or one sequence of target indices per source point
 Candidates = np.ndarray | Sequence[Sequence[int]]
@@ -110,6 +111,8 @@ class Problem:
         The feasible pairs; None: all.
     pose_range : PoseRange, optional
         The admissible poses; None: all of the model.
+    weights : PointWeights, optional
+        Weights of the points; kept as the costs of weighted pairs, or as None if all are equal.
 
     Raises
     ------
@@ -124,6 +127,7 @@ class Problem:
     scale_range: tuple[float, float]
     candidates: np.ndarray | None
     pose_range: PoseRange | None
+    weights: PairWeights | None
 
     def __init__(
         self,
@@ -134,6 +138,7 @@ class Problem:
         scale_range: tuple[float, float] | None = None,
         candidates: Candidates | None = None,
         pose_range: PoseRange | None = None,
+        weights: PointWeights | None = None,
     ) -> None:
         if model not in [*MODEL_DIM]:  # it may be unhashable
             raise InputError(f"model: {model!r} is unknown{suggestion(model, MODEL_DIM)}")
@@ -156,8 +161,15 @@ class Problem:
                     "cloud and use model rigid3d"
                 )
             pose_range = pose_range.checked(source, scale_range)
+        if not isinstance(weights, PointWeights | None):
+            raise InputError(
+                f"weights: {weights!r} is not a PointWeights; give one such as "
+                "dcreg.PointWeights(source=confidences)"
+            )
         for name in _FIELDS:
             object.__setattr__(self, name, locals()[name])
+        sizes = len(source), len(target), n_inliers
+        object.__setattr__(self, "weights", None if weights is None else weights.of_pairs(*sizes))
 
     @property
     def dim(self) -> int:
@@ -169,10 +181,12 @@ class Problem:
         """Whether the poses of the model have a scale, which may be fixed."""
         return self.model != "rigid3d"
 
-    def fit(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    def fit(
+        self, source: np.ndarray, target: np.ndarray, weights: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return the least-squares pose of paired (k, d) points; see `PoseRange.fit` for a range."""
         if self.pose_range is None:
-            return fit_pose(source, target, self.scale_range)
+            return fit_pose(source, target, self.scale_range, weights)
         return self.pose_range.fit(source, target, self.scale_range)
 
     def with_n_inliers(self, n_inliers: int | float) -> Problem:

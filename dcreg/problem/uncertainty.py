@@ -59,6 +59,7 @@ def pose_covariance(
     pose: np.ndarray,
     source: np.ndarray,
     target: np.ndarray,
+    weights: np.ndarray | None = None,
     *,
     has_scale: bool = False,
 ) -> np.ndarray | None:
@@ -66,13 +67,16 @@ def pose_covariance(
 
     The residuals of right pairs are assumed to be independent and equally large in all directions. Their
     variance is estimated from the pairs. The covariance is then ``variance * (sum J^T J)^-1`` with the
-    Jacobians ``J`` of the moved points.
+    Jacobians ``J`` of the moved points. With weights w, the variance of a residual is inversely
+    proportional to w, and the matrix is ``sum w J^T J``.
 
     Parameters
     ----------
     pose : (d+1, d+1) array
     source, target : (k, d) arrays
         Matched points.
+    weights : (k,) array, optional
+        Of the pairs; default: equal.
     has_scale : bool
         Whether the scale was free.
 
@@ -90,8 +94,11 @@ def pose_covariance(
         source - centre, has_scale
     )  # about the centre, which keeps digits
     free = jacobian.shape[2] - (d == 2 and not has_scale)
-    normal = np.einsum("kia,kib->ab", jacobian[:, :, :free], jacobian[:, :, :free])
     residuals = apply_pose(pose, source) - target
+    if weights is not None:
+        jacobian *= np.sqrt(weights)[:, None, None]
+        residuals *= np.sqrt(weights)[:, None]
+    normal = np.einsum("kia,kib->ab", jacobian[:, :, :free], jacobian[:, :, :free])
     spare = residuals.size - free
     size = np.sqrt(np.diag(normal))
     if spare <= 0 or (size == 0.0).any():

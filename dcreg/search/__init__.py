@@ -1,6 +1,15 @@
 """Branch and bound, without geometry: boxes, bounds as a protocol, budget, outcome."""
 
-from dcreg.search.boxes import Bound, Box, Boxes, Confined, Evaluation, Leaves, LongestEdge
+from dcreg.search.boxes import (
+    Bound,
+    Box,
+    Boxes,
+    Confined,
+    Evaluation,
+    Leaves,
+    LongestEdge,
+    Stored,
+)
 from dcreg.search.branch_and_bound import Outcome, Start, branch_and_bound
 from dcreg.search.budget import Budget, Event, Interrupted, Listener
 from dcreg.search.space_search import minimise
@@ -20,6 +29,7 @@ __all__ = [
     "LongestEdge",
     "Outcome",
     "Start",
+    "Stored",
     "Tolerance",
     "branch_and_bound",
     "minimise",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -134,6 +134,18 @@ class Evaluation:
     def empty(cls, boxes: Boxes) -> Evaluation:
         """Return an evaluation to be filled, with the centres of the boxes as candidates."""
         return cls(np.empty(len(boxes)), boxes.centres, np.empty(len(boxes)))
+
+
+class Stored(Protocol):
+    """What a bound remembers about boxes, such as values at their vertices."""
+
+    def state(self) -> dict[str, Any]:
+        """Return arrays and numbers from which `restore` makes an equal object."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Replace the content by a saved state."""
+        ...
 
 
 class Bound(Protocol):
@@ -266,6 +278,14 @@ class OpenNodes:
         slots = slots[:taken]
         self._length -= taken
         self._free[self._length : self._length + taken] = slots
+        return self._at(slots)
+
+    def boxes(self) -> Boxes:
+        """Return all boxes, the oldest first; a queue to which they are pushed returns the same ones."""
+        slots = self._heap[: self._length]
+        return self._at(slots[np.argsort(self._serials[slots])])
+
+    def _at(self, slots: np.ndarray) -> Boxes:
         warm_start = self._warm_starts[slots] if self._warm_starts.shape[1] else None
         return Boxes(self._lower[slots], self._upper[slots], self._bounds[slots], warm_start)
 
@@ -292,6 +312,9 @@ class Leaves:
     def add(self, boxes: Boxes, is_open: bool = False) -> None:
         state = np.full(len(boxes), is_open)
         self._parts.append((boxes.lower, boxes.upper, boxes.bounds, state))
+
+    def __len__(self) -> int:
+        return sum(len(bounds) for _, _, bounds, _ in self._parts)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return ``lower`` (L, d), ``upper`` (L, d), ``bounds`` (L,) and ``is_open`` (L,)."""

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -63,6 +63,23 @@ class Event:
         return replace(
             self, lower_bound=factor * self.lower_bound, upper_bound=factor * self.upper_bound
         )
+
+
+class Checkpoint(Protocol):
+    """Saves the state of a search, a `dcreg.search.space_search.Course`, to continue it later."""
+
+    @property
+    def is_resumed(self) -> bool:
+        """Whether it holds the state of an earlier search."""
+        ...
+
+    def restore(self, course: Any) -> None:
+        """Continue `course` from the saved state."""
+        ...
+
+    def save(self, course: Any, at_once: bool) -> None:
+        """Save the state after a round, if the last time is long ago or `at_once`."""
+        ...
 
 
 # Called with every event; returning True asks the solve to stop (status "stopped").
@@ -150,6 +167,8 @@ class Budget:
         Events of all stages except heartbeats.
     clock : Clock
         Of this budget and all its parts.
+    checkpoint : Checkpoint, optional
+        Set before the search; all parts share it.
     patience_s : float or None
         Seconds that a search may take for a proof; inf: only the time of the budget limits it; None: the
         search continues even if no proof is expected.
@@ -176,6 +195,7 @@ class Budget:
         # the budget from which all parts derive; it knows whether the caller asked to stop
         self._root = self
         self.patience_s: float | None = None
+        self.checkpoint: Checkpoint | None = None
         self._stopped = False
         self._reports = True
         self._incumbent = -np.inf
@@ -226,6 +246,18 @@ class Budget:
     def elapsed(self) -> float:
         """Return the seconds since the solve began. All parts share this clock."""
         return self.clock.now() - self._began
+
+    @property
+    def resumed(self) -> Checkpoint | None:
+        """The checkpoint, if it holds the state of an earlier search."""
+        return (
+            self.checkpoint if self.checkpoint is not None and self.checkpoint.is_resumed else None
+        )
+
+    def add_earlier(self, elapsed_s: float, history: list[Event]) -> None:
+        """Count the time and the events of an earlier part of the solve; the time left stays."""
+        self._began -= elapsed_s
+        self.history[:0] = history
 
     def left(self) -> float | None:
         """Return the seconds left, never negative; None without a limit."""

@@ -7,7 +7,7 @@ stages ``triples`` (3D) and ``distances`` (2D) of a result are covers.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -31,6 +31,7 @@ class Searchable(Protocol):
 
     axis_weights: np.ndarray
     is_confirmed: bool  # whether independent initial poses agree on the first incumbent
+    ends: Sequence[tuple[np.ndarray, float]]  # where local searches ended, with the objective
 
     def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
         """Return a first incumbent: theta, objective, assignments spent; `enough` is good enough."""
@@ -49,10 +50,14 @@ class Cover(Protocol):
     stage : str
         Name in events and results.
     threads : int
+    proven : (float, float)
+        The last cutoff proven, and its nominal seconds, from which those of the next one are
+        extrapolated; zeros at first.
     """
 
     stage: str
     threads: int
+    proven: tuple[float, float]
 
     @property
     def shares(self) -> Sequence[float]:
@@ -113,64 +118,113 @@ def minimise(
     -------
     Outcome
     """
-    if start is None:
+    resumed = budget.resumed
+    if resumed is not None:
+        start = Start(bound.roots[0].centre)  # replaced below
+    elif start is None:
         began = budget.elapsed()
         start = space.start(budget, tolerance.enough)
         start = Start(*start, budget.elapsed() - began)
-    patience_s = budget.patience_s
-    if not space.is_confirmed:
-        budget = budget.with_patience(_unsure(budget.patience_s))
     search = Search(
         bound, budget, LongestEdge(space.axis_weights), tolerance, stage, space.refine,
         Start(*start), Leaves() if keep_leaves else None,
         Confined(Boxes.of(bound.roots), np.inf),
     )  # fmt: skip
+    course = Course(space, search)
+    if resumed is not None:
+        resumed.restore(course)
+    if not space.is_confirmed:
+        search.budget = budget.with_patience(_unsure(budget.patience_s))
     if make_cover is None or keep_leaves:
-        search.run()
+        course.run(search)
         return search.outcome()
     # before, an estimate is premature, because a cover can change it
     search.n_before_estimate = SHORT
-    search.run(SHORT)
+    course.run(search, SHORT)
     cover = make_cover() if search.status is None else None
     if cover is not None and cover.applies:
-        return _with_cover(search, cover, patience_s)
-    search.run()
+        return _with_cover(course, cover, budget.patience_s)
+    course.run(search)
     return search.outcome()
 
 
-def _with_cover(search: Search, cover: Cover, patience_s: float | None) -> Outcome:
+@dataclass
+class Course:
+    """How far `minimise` has come: what a checkpoint saves.
+
+    Attributes
+    ----------
+    space : Searchable
+    search : Search
+    n_shares : int
+        Shares of the cutoff that were tried.
+    confined : list of Confined
+        What the cover returned.
+    abandoned_s : dict of str to float
+        As in `Outcome`.
+    proven : (float, float)
+        That of the cover.
+    part : Search, optional
+        The search for a share of the cutoff that is in progress.
+    """
+
+    space: Searchable
+    search: Search
+    n_shares: int = 0
+    confined: list[Confined] = field(default_factory=list)
+    abandoned_s: dict[str, float] = field(default_factory=dict)
+    proven: tuple[float, float] = (0.0, 0.0)
+    part: Search | None = None
+
+    def run(self, search: Search, pause: float = np.inf) -> None:
+        """Search until a status is set, or until `pause` boxes are bounded; save checkpoints."""
+        checkpoint = search.budget.checkpoint
+        if checkpoint is None:
+            search.run(pause)
+            return
+        while search.status is None and search.n_nodes < pause:
+            search.run(min(pause, search.n_nodes + 1))  # one round
+            checkpoint.save(self, at_once=search.status is not None)
+
+
+def _with_cover(course: Course, cover: Cover, patience_s: float | None) -> Outcome:
     """Continue a long search: prove shares of the cutoff by means of a cover, while time allows."""
-    parts: list[Confined] = []
-    abandoned_s: dict[str, float] = {}
-    for share in cover.shares:
+    search, budget = course.search, course.search.budget
+    cover.proven = course.proven
+    while course.n_shares < len(cover.shares):
+        share, paused_at = cover.shares[course.n_shares], budget.elapsed()
         tolerance = _share_of(search.tolerance, share)
-        if tolerance.cutoff(search.upper_bound) <= search.floor:
-            continue
-        paused_at = search.budget.elapsed()
-        confined = _confined(search, cover, tolerance.cutoff(search.upper_bound), patience_s)
-        if confined is None:
-            if not search.budget.is_over:
-                spent_s = search.budget.elapsed() - paused_at
-                abandoned_s[cover.stage] = abandoned_s.get(cover.stage, 0.0) + spent_s
+        if course.part is None and tolerance.cutoff(search.upper_bound) > search.floor:
+            confined = _confined(search, cover, tolerance.cutoff(search.upper_bound), patience_s)
+            course.proven = cover.proven
+            if confined is not None:
+                course.confined.append(confined)
+                if share == 1.0:
+                    # the open boxes share vertices and warm starts with the boxes that are left
+                    search.narrow(confined)
+                    course.n_shares = len(cover.shares)
+                    break
+                course.part = search.confined_to(confined, tolerance)
+            elif budget.is_over:
+                break  # a continued search tries this share again
+            else:
+                spent_s = budget.elapsed() - paused_at
+                course.abandoned_s[cover.stage] = course.abandoned_s.get(cover.stage, 0.0) + spent_s
+                search.resume(paused_at)
+        if course.part is not None:
+            course.run(course.part)
+            search.take_over(course.part)
             search.resume(paused_at)
-            continue
-        parts.append(confined)
-        if share == 1.0:
-            # the open boxes share vertices and warm starts with the boxes that are left
-            search.narrow(confined)
-            break
-        part = search.confined_to(confined, tolerance)
-        part.run()
-        search.take_over(part)
-        search.resume(paused_at)
-        if part.status is not Status.OPTIMAL:
-            search.status = part.status
-            break
-        search.terminate()
-        if search.status is not None:
-            break
-    search.run()
-    return replace(search.outcome(), confined=parts, abandoned_s=abandoned_s)
+            if course.part.status is not Status.OPTIMAL:
+                search.status = course.part.status
+                break
+            course.part = None
+            search.terminate()
+            if search.status is not None:
+                break
+        course.n_shares += 1
+    course.run(search)
+    return replace(search.outcome(), confined=course.confined, abandoned_s=course.abandoned_s)
 
 
 def _confined(

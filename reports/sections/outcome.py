@@ -10,7 +10,9 @@ import pandas as pd
 from reports.ledger.evidence import QUICK, STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
-from reports.tables import PENALTY, Tables, counted_time
+from reports.standing import BEST, TIED, WORSE, Matrix, matrices
+from reports.tables import PENALTY, Tables, counted_time, is_right, share_interval
+from reports.theme import Style, listed, share
 from workflows.metrics.errors import SUCCESS_SHARE
 from workflows.outcomes import attempted, comparable_times, main_machine
 from workflows.stages.evaluate import success_rmse
@@ -30,12 +32,14 @@ def context(page: Page) -> dict[str, Any]:
     evidence = Evidence.of_tables(tables)
     about = set(evidence.experiments) | ({STUDY} if evidence.study else set())
     judgements = judge(ledger(), evidence, about)
-    rows = outcomes(tables)
+    rows, found = outcomes(tables), matrices(tables)
     return {
         "facts": facts(tables),
         "judgements": judgements,
         "counts": count(judgements),
         "claims": len(ledger().claims),
+        "matrices": found,
+        "sentences": [sentence(matrix, page.styles) for matrix in found],
         "outcomes": rows,
         "models": list(dict.fromkeys(row["model"] for row in rows)),
         "unfinished": sum(row["unfinished"] for row in rows),
@@ -46,6 +50,25 @@ def context(page: Page) -> dict[str, Any]:
             tables.runs.loc[tables.runs["bound_violation"].fillna(0) > 0, "run_id"]
         ),
     }
+
+
+def sentence(matrix: Matrix, styles: dict[str, Style]) -> str:
+    """Return which methods are best on all tests together, and which are not significantly worse."""
+    best, tied, worse = (
+        [styles[name].name for name in matrix.standing(kind)] for kind in (BEST, TIED, WORSE)
+    )
+    if not best:
+        return f"{matrix.model}: only methods that receive the true pairs were run."
+    cell = next(iter(matrix.rows.values()))[matrix.columns[0]]
+    found = (
+        f"{matrix.model}: {listed(best)} {'has' if len(best) == 1 else 'have'} the highest success "
+        f"rate, {share(cell.share, *cell.interval)} of {cell.runs} runs"
+    )
+    if tied:
+        return (
+            f"{found}; {listed(tied)} {'is' if len(tied) == 1 else 'are'} not significantly worse."
+        )
+    return found + ("; all others are significantly worse." if worse else ".")
 
 
 def facts(tables: Tables) -> list[tuple[str, str]]:
@@ -62,7 +85,7 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
         ("data", "; ".join(data)),
         ("points per cloud", "; ".join(dict.fromkeys(points))),
         ("limit", _limit(tables)),
-        ("success", _success(runs)),
+        ("success", success_rule(runs)),
         ("n_inliers (n_p)", _prior(runs)),
         ("machine", _machine(tables)),
     ]
@@ -127,7 +150,8 @@ def _range(values: list[float], unit: str) -> str:
     return shown + unit
 
 
-def _success(runs: pd.DataFrame) -> str:
+def success_rule(runs: pd.DataFrame) -> str:
+    """Return in words when a pose counts as right."""
     names = runs["dataset"].unique()
     published = {name: limit for name in names if (limit := success_rmse(name)) is not None}
     texts = [f"RMSE < {limit:g} ({name}, as published)" for name, limit in published.items()]
@@ -163,10 +187,11 @@ def outcomes(tables: Tables) -> list[dict[str, Any]]:
 
 
 def _outcome(part: pd.DataFrame) -> dict[str, Any]:
-    bounding = bool(part["gap"].notna().any())
+    bounding, right = bool(part["gap"].notna().any()), is_right(part)
     return {
         "runs": len(part),
-        "success": float(part["success"].astype(float).mean()),
+        "success": float(right.mean()),
+        "interval": share_interval(int(right.sum()), len(part)),
         "certified": float(part["status"].eq("optimal").mean()) if bounding else None,
         "bound_ratio": float(part["bound_ratio"].median()) if bounding else None,
         "scopes": ", ".join(filter(None, part["certificate_scope"].unique())),

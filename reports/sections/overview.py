@@ -8,6 +8,7 @@ import pandas as pd
 
 from reports.figures import profile
 from reports.page import Page
+from reports.sections.outcome import success_rule
 from reports.tables import Tables, count_outcomes
 from workflows.outcomes import NOT_NEEDED, OUTCOMES, attempted
 from workflows.summary import summarise
@@ -28,6 +29,7 @@ def context(page: Page) -> dict[str, Any]:
         "summary": summary(page.tables),
         "models": models,
         "tests": list(dict.fromkeys(page.tables.runs["test"])),
+        "target": success_rule(page.tables.runs),
         "profiles": [
             page.add_figure(profile.build(page.tables, page.styles, model))
             for model in models

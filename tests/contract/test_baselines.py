@@ -20,7 +20,7 @@ from dcreg.status import Status
 
 NAMES = registry.names()
 PAIRS = [(name, model) for name in NAMES for model in registry.read_card(name).models]
-LIMITS = Limits(time_s=20.0)
+LIMITS = Limits(time_s=8.0)
 MOST_OF_A_STEP = 250  # assignments between two checks of their limit
 
 

@@ -265,7 +265,7 @@ def test_sums_at_vertices_are_below_all_displacements(problem, box, level, seed)
     low = generator.exponential(0.1, n)
     found = np.empty(64)
     geometry = BoxGeometry(parts.vertices, parts.half, parts.tangent, 0.0)
-    lowest = costs_at_vertices(parts.view.source, low, k, geometry, level, np.empty((5, n)), found)
+    lowest = costs_at_vertices(parts.view, low, geometry, level, np.empty((5, n)), found)
     assert lowest == found.min()
     weights = np.concatenate(
         [np.eye(len(parts.vertices)), generator.dirichlet(np.ones(len(parts.vertices)), 20)]

@@ -19,13 +19,11 @@ def answers(question):
 
 
 @pytest.mark.parametrize("question", CHECKS)
-@pytest.mark.xdist_group("questions")
 def test_no_answer_about_small_problems_is_wrong(question):
     assert not [faults for _, faults in answers(question) if faults]
 
 
 @pytest.mark.parametrize("question", CHECKS)
-@pytest.mark.xdist_group("questions")
 def test_many_questions_are_answered(question):
     """In three dimensions two or three pairs can leave a rotation open: then there is no answer."""
     answered = [answer for answer, _ in answers(question) if answer not in OPEN]

@@ -184,3 +184,62 @@ def test_no_hint_without_reason(call):
     outcome = run(*call)
     assert "hint" not in outcome.stderr
     assert "points is slow" not in outcome.stderr
+
+
+def test_weights_come_from_files(cloud_files, tmp_path):
+    call = ["register", *cloud_files, "--model", "similarity2d", "--json", tmp_path / "o.json"]
+    target = np.load(cloud_files[1].removesuffix(":a"))["a"]
+    target[0] += 0.5
+    np.save(tmp_path / "moved.npy", target)
+    call[2] = tmp_path / "moved.npy"
+    (tmp_path / "w.txt").write_text("# confidence\n" + "1e-6\n" + 11 * "1\n")
+    weights = ("--source-weights", tmp_path / "w.txt")
+    outcome = run(*call, *weights, "--n-inliers", "1.0")
+    assert outcome.exit_code == 0, outcome.output
+    content = json.loads((tmp_path / "o.json").read_text())
+    assert content["certificate_scope"] == "similarity pose, weighted points"
+    assert content["scale"] == pytest.approx(1.2, abs=1e-4)
+    assert content["objective"] < 1e-5
+    outcome = run(*call, *weights, "--n-inliers", "0.8")
+    assert outcome.exit_code == 2
+    assert "--weight-distance" in outcome.output
+    outcome = run(*call, *weights, "--n-inliers", "0.8", "--weight-distance", "0.1")
+    assert outcome.exit_code == 0, outcome.output
+    outcome = run(*call, "--n-inliers", "0.8", "--weight-distance", "0.1")
+    assert outcome.exit_code == 2
+    assert "there are no weights" in outcome.output
+
+
+def test_weights_of_dropped_points_are_left_out(tmp_path):
+    points = np.random.default_rng(3).random((10, 2))
+    np.savetxt(tmp_path / "b.txt", points[1:] + 2.0)
+    points[0] = np.nan
+    np.savetxt(tmp_path / "a.txt", points)
+    call = (
+        *("register", tmp_path / "a.txt", tmp_path / "b.txt", "--model", "similarity2d"),
+        *("--n-inliers", "9", "--drop-invalid", "--source-weights", tmp_path / "w.txt"),
+    )
+    np.savetxt(tmp_path / "w.txt", np.arange(10.0))  # that of the dropped point is invalid
+    assert run(*call).exit_code == 0
+    np.savetxt(tmp_path / "w.txt", np.arange(1.0, 10.0))
+    outcome = run(*call)
+    assert outcome.exit_code == 2
+    assert "9 numbers for 10 points" in outcome.output
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("1\n2 3\n", "line 2 has 2 values, expected 1"),
+        ("1\nheavy\n", "line 2: 'heavy' is not a number"),
+        ("", "give one number per point"),
+    ],
+)
+def test_bad_weight_files_are_refused(content, message, tmp_path):
+    (tmp_path / "w.txt").write_text(content)
+    with pytest.raises(dcreg.InputError, match=message):
+        dcreg.read_weights(tmp_path / "w.txt")
+    with pytest.raises(
+        dcreg.InputError, match=r"unknown extension '.ply'; use one of: .txt .csv .npy"
+    ):
+        dcreg.read_weights(tmp_path / "w.ply")

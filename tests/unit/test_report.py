@@ -19,15 +19,16 @@ import pytest
 
 from baselines import registry
 from reports import page as pages
-from reports import theme
+from reports import standing, theme
 from reports.build import build
-from reports.figures import attribution, levels, printing, standalone
+from reports.figures import attribution, levels, printing, profile, standalone
 from reports.figures.figure import Figure
 from reports.ledger.judging import ledger
 from reports.sections import figures, outcome
 from reports.sections.parameters import parameters
 from reports.tables import PENALTY, ReportError, Tables, counted_time, row_names, thin_trace
 from tests.unit import report_fixture
+from tests.unit.report_fixture import CARDS
 from workflows.attribution import VERDICTS
 from workflows.config import CONFIGS, load
 from workflows.outcomes import attempted
@@ -317,13 +318,68 @@ def test_methods_that_are_not_deterministic_are_labelled(html):
     assert {method for method, text in rows if "not deterministic" in text} == {"fgr"}
 
 
-def test_times_of_unfinished_runs_count_as_twice_the_limit_or_the_time_of_their_work(tables):
-    runs = tables.runs.head(4).assign(time_solve_s=3.0, outcome="finished", status="optimal")
+def test_times_of_runs_without_the_right_pose_count_as_twice_the_limit_or_their_work(tables):
+    runs = tables.runs.head(5).assign(
+        time_solve_s=3.0, outcome="finished", status="optimal", success=True
+    )
+    runs["success"] = runs["success"].astype(object)
     runs.loc[1, ["outcome", "status"]] = "limited", "time_limit"
-    runs.loc[2, ["outcome", "status"]] = "limited", "assignment_limit"
-    runs.loc[3, ["outcome", "status", "time_solve_s"]] = "failed", "failed", np.nan
+    runs.loc[2, ["outcome", "status", "success"]] = "limited", "assignment_limit", False
+    runs.loc[3, ["outcome", "status", "time_solve_s", "success"]] = "failed", "failed", np.nan, None
+    runs.loc[4, "success"] = False
     times = counted_time(runs, tables.cards)
-    assert list(times) == [3.0, PENALTY * 10, PENALTY * 3.0, PENALTY * 10]
+    assert list(times) == [3.0, 3.0, PENALTY * 3.0, PENALTY * 10, PENALTY * 10]
+
+
+def test_methods_are_compared_with_the_best_on_common_instances(tables):
+    def compared(*patterns: str) -> dict[str, standing.Cell]:
+        """Return the cells of methods with one run for each character: 1 right, 0 wrong, - none."""
+        runs = pd.DataFrame(
+            {
+                "instance_id": i, "n_inliers_ratio": 1.0, "model": "rigid3d", "test": "noise",
+                "method": method, "outcome": "finished", "success": run == "1",
+            }
+            for method, pattern in zip(CARDS, patterns, strict=False)
+            for i, run in enumerate(pattern)
+            if run != "-"
+        )  # fmt: skip
+        (matrix,) = standing.matrices(dataclasses.replace(tables, runs=runs))
+        assert matrix.columns == ["noise"]
+        return {method: row["noise"] for method, row in matrix.rows.items()}
+
+    cells = compared("1" * 20, "1" * 17 + "000", "1" * 10 + "0" * 10, "-" * 18 + "00")
+    full, half, bilinear, icp = cells.values()
+    assert list(cells) == list(CARDS)[:4]
+    assert (full.standing, half.standing, bilinear.standing) == ("best", "tied", "worse")
+    assert (icp.runs, icp.right, icp.standing) == (2, 0, "tied")  # two runs show nothing
+    low, high = half.interval
+    assert 0.6 < low < half.share == 0.85 < high < 0.95
+    # five lost instances have p = 0.063, six 0.031: significant alone, but not among two comparisons
+    assert compared("1" * 20, "1" * 14 + "0" * 6)["dcreg-half"].standing == "worse"
+    assert compared("1" * 20, "1" * 15 + "0" * 5)["dcreg-half"].standing == "tied"
+    both = compared("1" * 20, "1" * 14 + "0" * 6, "1" * 14 + "0" * 6)
+    assert [cell.standing for cell in both.values()] == ["best", "tied", "tied"]
+
+
+def test_the_outcome_names_the_best_methods(tables, styles):
+    for matrix in standing.matrices(tables):
+        text = outcome.sentence(matrix, styles)
+        first, second = text.split("; ")
+        share = next(iter(matrix.rows.values()))[standing.ALL].share
+        assert f" the highest success rate, {100 * share:.0f} %" in first
+        assert all(styles[name].name in first for name in matrix.standing("best"))
+        assert all(styles[name].name in second for name in matrix.standing("tied"))
+
+
+def test_curves_over_time_end_at_the_success_rate(tables, styles):
+    runs = attempted(tables.runs[tables.runs["model"] == "rigid3d"])
+    figure = profile.build(tables, styles, "rigid3d")
+    for trace in figure.traces:
+        part = runs[runs["method"] == trace["meta"]["method"]]
+        share = part["rmse"].notna().mean() if trace["xaxis"] == "x" else part["success"].mean()
+        assert trace["y"][-1] == pytest.approx(share)
+    ratios = [trace for trace in figure.traces if trace["xaxis"] == "x3"]
+    assert min(min(trace["x"]) for trace in ratios) == 1.0
 
 
 def test_outcome_counts_limits_and_missing_poses(tables):
@@ -333,8 +389,9 @@ def test_outcome_counts_limits_and_missing_poses(tables):
     assert row["runs"] == len(runs)
     assert row["failed"] == runs["outcome"].eq("failed").sum() == 2
     assert row["success"] == pytest.approx(runs["success"].sum() / len(runs))
-    finished = runs["time_solve_s"][runs["outcome"] == "finished"].sum()
-    assert row["time"] == pytest.approx((finished + 2 * 2 * 10.0) / len(runs))
+    right = runs["success"].astype(bool)
+    penalties = PENALTY * 10.0 * (~right).sum()
+    assert row["time"] == pytest.approx((runs["time_solve_s"][right].sum() + penalties) / len(runs))
     assert row["certified"] is None
     assert ("similarity2d", "fgr") not in rows  # never attempted
     success = [r["success"] for r in outcome.outcomes(tables) if r["model"] == "similarity2d"]

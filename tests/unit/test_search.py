@@ -304,9 +304,9 @@ class SlowCover:
 
 def test_the_time_of_a_cover_is_counted_once(set_clock, monkeypatch):
     found, waited, paused = solve(), [], paused_search(Budget(time_s=100.0).with_patience(5.0))
-    monkeypatch.setattr(Search, "run", lambda self: waited.append(self.patience_began))
+    monkeypatch.setattr(Search, "run", lambda self, pause: waited.append(self.patience_began))
     monkeypatch.setattr(Search, "outcome", lambda self: found)
-    space_search._with_cover(paused, SlowCover(set_clock), 5.0)
+    space_search._with_cover(space_search.Course(None, paused), SlowCover(set_clock), 5.0)
     assert waited == [paused.budget.elapsed()]
 
 
@@ -320,9 +320,9 @@ def test_a_cover_that_gives_up_is_shown_and_its_time_is_kept(set_clock, monkeypa
     events = []
     paused = paused_search(Budget(time_s=100.0, listener=events.append).with_patience(5.0))
     ended, n_known = solve(), len(events)
-    monkeypatch.setattr(Search, "run", lambda self: None)
+    monkeypatch.setattr(Search, "run", lambda self, pause: None)
     monkeypatch.setattr(Search, "outcome", lambda self: ended)
-    found = space_search._with_cover(paused, GivesUp(set_clock), 5.0)
+    found = space_search._with_cover(space_search.Course(None, paused), GivesUp(set_clock), 5.0)
     assert found.abandoned_s == {"slow": 6.0}
     assert not found.confined
     shown = [event for event in events[n_known:] if event.stage == "slow"]

@@ -22,7 +22,7 @@ def linearised_values(clouds, vertices, centre, values):
         if clouds.stop[0]:
             break
         pair_costs(clouds, vertices[at], cost)
-        curvature(clouds.target, clouds.source, vertices[at] - centre, missed)
+        curvature(clouds.target, clouds, vertices[at] - centre, missed)
         for i in range(n):
             for j in range(m):
                 cost[i, j] -= missed[i]

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -113,7 +114,7 @@ class SharedVertexBound(SpaceBound[F]):
         duals_size: int = 0,
     ) -> None:
         super().__init__(space, roots, threads)
-        self.cache = VertexCache(self.roots, profile_size, duals_size)
+        self.cache = self.stored = VertexCache(self.roots, profile_size, duals_size)
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         slots, first_new = self.cache.find(boxes.lower, boxes.upper)
@@ -163,6 +164,20 @@ class VertexCache:
     def vertices(self) -> Vertices:
         """The arrays as kernels take them; invalid after the next `find`, which may reallocate them."""
         return Vertices(self.thetas, self.lows, self.values, self.levels, self.profiles, self.duals)
+
+    def state(self) -> dict[str, Any]:
+        """Return the vertices; see `dcreg.search.Stored`."""
+        arrays = {name: getattr(self, name)[: self.used] for name in self._ARRAYS}
+        return {"calls": self._calls, **arrays}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Replace the vertices by saved ones."""
+        self._calls, self.used = state["calls"], 0
+        self._reserve(len(state["keys"]))
+        self.used = len(state["keys"])
+        for name in self._ARRAYS:
+            getattr(self, name)[: self.used] = state[name]
+        rebuild(self.table, self.keys, self.used)
 
     def _reserve(self, count: int) -> None:
         if self.used + count > self.max_vertices:

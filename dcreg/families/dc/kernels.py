@@ -9,7 +9,7 @@ import numpy as np
 
 from dcreg.assignment.kernels.dense import k_assignment
 from dcreg.assignment.kernels.selection import cleared
-from dcreg.families.kernels import add_penalty
+from dcreg.families.kernels import add_penalty, weigh
 from dcreg.jit import jit, jit_inner, jit_part
 
 # --- Costs of all pairs at a parameter, the curvature of the costs, and their range over a box ----
@@ -21,9 +21,10 @@ from dcreg.jit import jit, jit_inner, jit_part
 
 @jit
 def pair_costs(clouds, theta, cost):
-    """Fill cost_ij: the squared distance of the features at `theta`, plus the penalty of the pair."""
+    """Fill cost_ij: the squared distance of the features at `theta`, with penalty and weight."""
     squared_distances(clouds.source, clouds.target, theta, cost)
     add_penalty(clouds.infeasibility_penalty, cost)
+    weigh(clouds.weights, cost)
 
 
 @jit_inner
@@ -47,25 +48,28 @@ def squared_distances(source, target, theta, cost):
 
 
 @jit
-def curvature(target, axes, delta, out):
-    """Return R_i(delta) = |J_i delta|^2: the error of the tangent at theta0 in theta0 + delta."""
+def curvature(target, clouds, delta, out):
+    """Return R_i(delta) = |J_i delta|^2: the error of the tangent at theta0 in theta0 + delta.
+
+    It is multiplied by the maximum weight of the source point.
+    """
     if target.ndim == 1:
         r = delta[0] ** 2 + delta[1] ** 2 + delta[2] ** 2
         for i in range(out.size):
             out[i] = r
     else:
-        plane_curvature(axes, delta, out)
+        plane_curvature(clouds, delta, out)
 
 
 @jit_part
-def plane_curvature(axes, delta, out):
+def plane_curvature(clouds, delta, out):
     """Return `curvature` for similarities in 2D."""
-    x, y = axes[0], axes[1]
+    x, y, heaviest = clouds.source[0], clouds.source[1], clouds.heaviest
     cos, sin, right, up = delta[0], delta[1], delta[2], delta[3]
     for i in range(out.size):
         u = cos * x[i] - sin * y[i] + right
         v = sin * x[i] + cos * y[i] + up
-        out[i] = u * u + v * v
+        out[i] = heaviest[i] * (u * u + v * v)
 
 
 @jit
@@ -328,7 +332,7 @@ def dc_bound(clouds, lower, upper, bounds, thetas, values):
             for a in range(dim):
                 delta[a] = theta[a] - 0.5 * (lower[box, a] + upper[box, a])
             pair_costs(clouds, theta, cost)
-            curvature(clouds.target, clouds.source, delta, missed)
+            curvature(clouds.target, clouds, delta, missed)
             for i in range(n):
                 for j in range(m):
                     cost[i, j] -= missed[i]
@@ -354,5 +358,6 @@ def interval_bound(clouds, lower, upper, bounds):
             break
         interval_costs(clouds.source, clouds.target, lower[box], upper[box], cost)
         add_penalty(clouds.infeasibility_penalty, cost)
+        weigh(clouds.weights, cost)
         bounds[box], _ = k_assignment(cost, clouds.k, clouds.stop)
     return lower.shape[0]

@@ -118,7 +118,7 @@ The cost of an infeasible pair is increased by a constant, in E and in every cos
 feasible matchings do not change, so the minimum over all matchings is no more than the minimum over the
 feasible ones, and the bounds hold for any constant. E itself must use no infeasible pair, so the
 constant exceeds k squared residuals at any pose of the start box
-(`dcreg.families.protocol.infeasibility_penalty`).
+(`dcreg.families.pairs.infeasibility_penalty`).
 """
 
 from __future__ import annotations
@@ -156,14 +156,20 @@ class RigidBound(SpaceBound[Rigid3D]):
         self, space: Rigid3D, roots: Sequence[Box] | None = None, threads: int = 1
     ) -> None:
         super().__init__(space, roots, threads)
-        source, k = space.clouds.source, space.n_inliers
+        k, points = space.n_inliers, space.clouds.source
+        source = points * np.sqrt(space.clouds.heaviest)
         self._limits = Limits(
             inertia=float(np.sort((source**2).sum(axis=0))[-k:].sum()),
-            drift=k * largest_subset_mean_3d(source.T, k),
+            drift=k * largest_subset_mean_3d(points.T, k, space.lightest),
             spread=float(np.linalg.eigvalsh(source @ source.T)[-1]),
         )
+        self._floor = 0.0
+        if space.clouds.weights.size:  # light pairs cost something at every pose
+            extra = space.clouds.weights * space.clouds.infeasibility_penalty
+            self._floor = float(np.sort(extra.min(axis=1))[:k].sum())
         few = space.n_pairs <= FEW_PAIRS
         self._vertices = None if few else VertexValues(space.clouds, self.map_slices)
+        self.stored = self._vertices
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         count = len(boxes)
@@ -175,7 +181,8 @@ class RigidBound(SpaceBound[Rigid3D]):
         enough = np.inf if cutoff is None else cutoff
         for part in (slice(at, at + most) for at in range(0, count, most)):
             found = self._evaluate_part(boxes[part], enough, duals[part])
-            result.lower_bounds[part], result.values[part] = found.bounds, found.values
+            result.lower_bounds[part] = np.maximum(found.bounds, self._floor)
+            result.values[part] = found.values
         return result
 
     def _evaluate_part(self, boxes: Boxes, cutoff: float, duals: np.ndarray) -> Found:

@@ -229,7 +229,7 @@ class CongruentCover:
         self._target = np.ascontiguousarray(space.clouds.target.T)
         self._limits = np.empty((0, 3))
         self._triples: np.ndarray | None = None
-        self._done = 0.0, 0.0  # the last cutoff, and its nominal seconds
+        self.proven = 0.0, 0.0
         self._spent_s = 0.0
 
     @property
@@ -274,13 +274,13 @@ class CongruentCover:
             regions.append(found)
             if sum(len(each.triple) for each in regions) > MAX_LEFT:
                 return None
-        self._done = cutoff, self._spent_s
+        self.proven = cutoff, self._spent_s
         boxes = self._boxes(Regions(*map(np.concatenate, zip(*regions, strict=True))))
         return Confined(boxes, cutoff, budget.elapsed() - began, n_tried, self.stage)
 
     def _known_s(self, cutoff: float) -> float:
         """Return the nominal seconds, extrapolated from the last cutoff (power 1.5); 0 if unknown."""
-        done, spent_s = self._done
+        done, spent_s = self.proven
         return spent_s * (cutoff / done) ** 1.5 if done > 0.0 else 0.0
 
     def _prepare(self) -> bool:

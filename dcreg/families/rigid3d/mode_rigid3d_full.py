@@ -34,5 +34,6 @@ MODE = Mode(
     own_bound="rigid",
     certifies="rigid3d",
     in_region=in_region,
+    takes_weights=True,
     stage="rigid",
 )

@@ -21,14 +21,15 @@ import abc
 import itertools
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from dcreg.assignment.alternation import alternate_assignments
 from dcreg.assignment.kernels.dense import cheapest_pairs
+from dcreg.families.means import mean_of_largest, means_of_subsets
 from dcreg.families.parallel import in_threads
-from dcreg.families.protocol import means_of_subsets, radius
+from dcreg.families.protocol import radius
 from dcreg.families.rigid3d.kernels.poses import nearest_scores, pose_costs
 from dcreg.families.rigid3d.starts import (
     AGREEING,
@@ -48,6 +49,7 @@ from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_m
 from dcreg.families.rotation3d.space import CloudSpace, Rotation3D
 from dcreg.families.starts import distinct
 from dcreg.names import RIGID_POSE
+from dcreg.problem import PairWeights
 from dcreg.problem.geometry import apply_pose, fit_pose, representative_points, sampled_pairs
 from dcreg.search import Box, Budget
 
@@ -68,8 +70,12 @@ def coarse_sizes(n: int, m: int) -> tuple[int, int]:
     return few, min(m, MAX_COARSE, round(few * m / n))
 
 
-def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> float:
+def largest_subset_mean_3d(
+    points: np.ndarray, count: int, lightest: float = 1.0, cells: int = 8
+) -> float:
     """Return an upper bound on ``|mean of any `count` points|`` of (n, 3) points.
+
+    Means have weights from `lightest` to 1.
 
     The support function of the subset means is the mean of the largest projections. Directions are
     sampled at the cell centres of the faces of a cube: another point of a cell is at most sqrt(2) /
@@ -79,8 +85,8 @@ def largest_subset_mean_3d(points: np.ndarray, count: int, cells: int = 8) -> fl
     face = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     half = np.concatenate([np.insert(face, axis, 1.0, axis=1) for axis in range(3)])
     directions = half / np.linalg.norm(half, axis=1, keepdims=True)
-    projections = np.sort(points @ np.concatenate([directions, -directions]).T, axis=0)
-    farthest = max(0.0, float(projections[-count:].mean(axis=0).max()))
+    projections = points @ np.concatenate([directions, -directions]).T
+    farthest = max(0.0, float(mean_of_largest(projections, count, lightest).max()))
     return farthest / np.cos(2.0 * np.arcsin(np.sqrt(0.5) / cells))
 
 
@@ -97,12 +103,12 @@ class Poses3D(CloudSpace):
         """Return a box that contains the translation of every optimum."""
         k, source, target = self.n_inliers, self.clouds.source, self.clouds.target
         if self.stationary_box:
-            if k == source.shape[1]:
+            if k == source.shape[1] and self.lightest == 1.0:
                 reach = float(np.linalg.norm(source.mean(axis=1)))
             else:
-                reach = largest_subset_mean_3d(source.T, k)
+                reach = largest_subset_mean_3d(source.T, k, self.lightest)
             reach *= self.max_scale
-            lower, upper = means_of_subsets(target, k)
+            lower, upper = means_of_subsets(target, k, self.lightest)
             # rounding must not cut off the optimum, but the box of a centred cloud keeps zero width
             reach = 0.0 if reach < _ROUNDING else reach
             lower, upper = (np.where(np.abs(v) < _ROUNDING, 0.0, v) for v in (lower, upper))
@@ -326,6 +332,19 @@ class Rigid3D(Poses3D):
         x, y = source.mean(axis=1), target.mean(axis=1)
         rotation = best_rotation(source - x[:, None], target - y[:, None])
         return np.append(rotation, y - rotation_matrix(rotation) @ x)
+
+    def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
+        rows = np.flatnonzero(col_of >= 0)
+        weights = self.weights_of(rows, col_of[rows])
+        if weights is None:
+            return super().fit_matching(theta, col_of)
+        source, target = self.matched(col_of)
+        return self._parameter(fit_pose(source.T, target.T, (1.0, 1.0), weights))
+
+    def weighted(self, weights: PairWeights) -> Self:
+        if self._swapped:
+            weights = PairWeights(weights.factors.T, weights.extra.T)
+        return super().weighted(weights)
 
     def of_points(self, source: np.ndarray, target: np.ndarray, n_inliers: int) -> Rigid3D:
         """Return the same space over other points, without candidates."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -55,6 +56,24 @@ class VertexValues:
         # Compile now, because the first vertices may be evaluated late in a search, with no time left.
         requests = VertexRequests(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
         self._compute(requests, np.empty((0, clouds.target.shape[1]), np.uint16))
+
+    def state(self) -> dict[str, Any]:
+        """Return the values; see `dcreg.search.Stored`."""
+        table, *arrays = self.known
+        places = np.flatnonzero(table >= 0)
+        return {
+            "used": self._used, "places": places, "slots": table[places],
+            "arrays": [array[: self._used] for array in arrays],
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Replace the values by saved ones."""
+        table, *arrays = self.known
+        self._used = state["used"]
+        table[:] = -1
+        table[state["places"]] = state["slots"]
+        for array, saved in zip(arrays, state["arrays"], strict=True):
+            array[: self._used] = saved
 
     def _compute(self, requests: VertexRequests, kept: np.ndarray) -> int:
         """Compute the requested values from the duals `kept` of the boxes; return 0 assignments."""

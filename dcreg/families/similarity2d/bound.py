@@ -49,7 +49,9 @@ class SharedBound(SharedVertexBound[Similarity2D]):
         self, space: Similarity2D, roots: Sequence[Box] | None = None, threads: int = 1
     ) -> None:
         super().__init__(space, roots, threads, space.n_source, space.n_target)
-        self.loss_weights = space.n_inliers * space.axis_weights**2
+        self.loss_weights = (
+            space.n_inliers * float(space.clouds.heaviest.mean()) * space.axis_weights**2
+        )
 
     def _bound_boxes(
         self, boxes: Boxes, slots: np.ndarray, first_new: int, cutoff: float | None

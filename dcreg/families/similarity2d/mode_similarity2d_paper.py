@@ -32,4 +32,5 @@ MODE = Mode(
     make_cover=make_cover,
     certifies="similarity2d",
     in_region=in_region,
+    takes_weights=True,
 )

@@ -11,11 +11,12 @@ from dcreg.assignment.alternation import alternate_assignments
 from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.families.dc.kernels import objectives
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.protocol import means_of_subsets, radius
+from dcreg.families.means import mean_of_largest, means_of_subsets
+from dcreg.families.protocol import radius
 from dcreg.families.similarity2d.starts import similar_poses
 from dcreg.jit import NEVER
 from dcreg.names import SIMILARITY_POSE
-from dcreg.problem.geometry import representative_points, sampled_pairs
+from dcreg.problem.geometry import fit_pose, representative_points, sampled_pairs
 from dcreg.search import Box, Budget
 
 # Shares of the pairs beyond k with which local searches begin; they end with k pairs.
@@ -23,15 +24,19 @@ _SURPLUS = (0.75, 0.5, 0.25)
 MAX_SCORED = 300  # points of each cloud by which seeds are scored
 
 
-def largest_subset_mean(points: np.ndarray, count: int, n_directions: int = 64) -> float:
+def largest_subset_mean(
+    points: np.ndarray, count: int, lightest: float = 1.0, n_directions: int = 64
+) -> float:
     """Return an upper bound on ``|mean of any `count` points|`` of (2, n) points.
+
+    Means have weights from `lightest` to 1.
 
     The support function of all subset means is the mean of the largest projections. The worst direction
     differs from a sampled one by at most half their spacing.
     """
     angles = np.arange(n_directions) * (2 * np.pi / n_directions)
     directions = np.stack([np.cos(angles), np.sin(angles)])
-    projections = np.sort(points @ directions, axis=0)[-count:].mean(axis=0)
+    projections = mean_of_largest(points @ directions, count, lightest)
     return float(max(projections.max(), 0.0) / np.cos(np.pi / n_directions))
 
 
@@ -75,8 +80,8 @@ class Similarity2D(FeatureSpace):
     def roots(self) -> list[Box]:
         high = self.scale_range[1]
         if self.stationary_box:
-            reach = high * largest_subset_mean(self.source, self.n_inliers)
-            low_y, high_y = means_of_subsets(self.clouds.target, self.n_inliers)
+            reach = high * largest_subset_mean(self.source, self.n_inliers, self.lightest)
+            low_y, high_y = means_of_subsets(self.clouds.target, self.n_inliers, self.lightest)
             # rounding must not cut off the optimum, but the box of a centred cloud keeps zero width
             reach = 0.0 if reach < 1e-12 else reach
             low_y, high_y = (np.where(np.abs(y) < 1e-12, 0.0, y) for y in (low_y, high_y))
@@ -165,6 +170,9 @@ class Similarity2D(FeatureSpace):
         """
         rows = np.flatnonzero(col_of >= 0)
         both = np.concatenate([self.clouds.source[:, rows], self.clouds.target[:, col_of[rows]]])
+        weights = self.weights_of(rows, col_of[rows])
+        if weights is not None:
+            return self.parameter(fit_pose(both[:2].T, both[2:].T, self.scale_range, weights))
         mx, my, mu, mv = centre = both.sum(axis=1) / rows.size
         both -= centre[:, None]
         products = both @ both.T  # of x, y of the source and u, v of the target

@@ -75,7 +75,7 @@ from dcreg.families.rigid3d.kernels.stationary import Limits
 from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.families.similarity3d.kernels.boxes import bound_similarities
 from dcreg.families.similarity3d.space import SCALE, Similarity3D
-from dcreg.search import Box, Boxes, Evaluation
+from dcreg.search import Box, Boxes, Evaluation, Stored
 
 _ROUNDING = 8.0 * np.finfo(float).eps  # relative, of sums of squares that are subtracted
 
@@ -92,6 +92,7 @@ class SimilarityBound(SpaceBound[Similarity3D]):
     ) -> None:
         super().__init__(space, roots, threads)
         self._rotations = _Rotations(space, threads) if space.only_rotates else None
+        self.stored = None if self._rotations is None else self._rotations.stored
         source, k = space.clouds.source, space.n_inliers
         self._limits = Limits(
             inertia=float(np.sort((source**2).sum(axis=0))[-k:].sum()),
@@ -144,6 +145,11 @@ class _Rotations:
     @property
     def n_assignments(self) -> int:
         return self._bound.n_assignments
+
+    @property
+    def stored(self) -> Stored | None:
+        """What the bounds over rigid poses remember."""
+        return self._bound.stored
 
     def evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         rigid = Boxes(

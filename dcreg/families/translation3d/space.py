@@ -9,10 +9,7 @@ import numpy as np
 from dcreg.assignment.kernels.sorting import COLUMNS
 from dcreg.families.dc.kernels import objectives
 from dcreg.families.dc.space import FeatureSpace
-from dcreg.families.protocol import (
-    mean_of_largest,
-    means_of_subsets,
-)
+from dcreg.families.means import mean_of_largest, means_of_subsets
 from dcreg.families.translation3d.kernels.fit import fit_norm3d
 from dcreg.families.translation3d.kernels.line import match_on_line, objectives_on_line
 from dcreg.names import NORM_TRANSLATION

@@ -16,6 +16,7 @@ import numpy as np
 
 from dcreg.assignment.kernels.dense import improve_assignment, k_assignment, row_minima
 from dcreg.assignment.kernels.selection import kth_smallest, total
+from dcreg.families.kernels import weigh
 from dcreg.families.rigid3d.kernels.cayley import vertex_bound
 from dcreg.families.rigid3d.kernels.dual_bounds import dual_bound_of_box, keep_duals
 from dcreg.families.rigid3d.kernels.poses import (
@@ -35,7 +36,7 @@ from dcreg.families.rigid3d.kernels.stationary import (
 )
 from dcreg.families.rigid3d.kernels.vertices import VALUES_NEEDED, BoxStates, allocate_states
 from dcreg.families.rotation3d.kernels.caps import cap_costs
-from dcreg.families.rotation3d.kernels.geometry import extent, matched_cost
+from dcreg.families.rotation3d.kernels.geometry import extent
 from dcreg.jit import jit, jit_part
 
 # Boxes with rotations farther than this from the centre, as tangents of half the angle, are bounded by
@@ -156,12 +157,12 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
         _, col_of = improve_assignment(costs, k, b, clouds.stop)
         keep_duals(b, found.kept[at])
         spent += 1
-        found.values[at] = matched_cost(view.source, view.target, col_of)
+        found.values[at] = _cost_of(costs, col_of)
         row_minima(costs, b, low)
         level = kth_smallest(low, k - 1)
         out = found.boxes.costs[at]
         duals = total(b)
-        cost = costs_at_vertices(view.source, low, k, box, level, work, out) - duals
+        cost = costs_at_vertices(view, low, box, level, work, out) - duals
         for vertex in range(out.size):
             out[vertex] -= duals
         loss = loss_of(box, limits)
@@ -210,11 +211,22 @@ def bound_boxes_by_duals(lower, upper, cutoff, clouds, limits, found, work):
 
 
 @jit_part
+def _cost_of(costs, col_of):
+    """Return the sum of the costs of given pairs."""
+    cost = 0.0
+    for i in range(col_of.size):
+        if col_of[i] >= 0:
+            cost += costs[i, col_of[i]]
+    return cost
+
+
+@jit_part
 def _capped(view, box, cutoff, small, costs):
     """Return the bound by caps, and the number of assignments solved for it."""
     cap_costs(
         view.source, 2.0 * math.atan(box.tangent), view.target, view.infeasibility_penalty, costs
     )
+    weigh(view.weights, costs)
     return shifted_bound(costs, box.shift_radius, cutoff, small, view)
 
 

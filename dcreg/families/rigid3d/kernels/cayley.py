@@ -21,7 +21,7 @@ def residuals(view, delta, terms):
     """Fill the terms of each pair at delta = (r, s): |e|^2, 2e and 2 m x e, as (7, m, n).
 
     e = x - y + s + r x m with m = x + y is the residual that bounds the true one from below. The
-    penalty of an infeasible pair is added to |e|^2.
+    penalty of an infeasible pair is added to |e|^2, and all terms are multiplied by the weights.
     """
     moved, shifted = view.source, view.target
     r0, r1, r2, s0, s1, s2 = delta[0], delta[1], delta[2], delta[3], delta[4], delta[5]
@@ -41,6 +41,10 @@ def residuals(view, delta, terms):
             terms[5, j, i] = 2.0 * f
             terms[6, j, i] = 2.0 * g
     add_penalty_by_target(view.infeasibility_penalty, terms[0])
+    for i in range(view.weights.shape[0]):
+        for j in range(view.weights.shape[1]):
+            for p in range(7):
+                terms[p, j, i] *= view.weights[i, j]
 
 
 @jit_inner

@@ -208,8 +208,9 @@ def divide_regions(regions, frames, limits, clouds, thresholds, most, scratch, l
     """
     n, m = clouds.source.shape[1], clouds.target.shape[1]
     own = Clouds(
-        np.empty((3, n)), np.empty((3, m)), clouds.infeasibility_penalty, clouds.k, clouds.stop
-    )
+        np.empty((3, n)), np.empty((3, m)), clouds.infeasibility_penalty, clouds.weights,
+        clouds.heaviest, clouds.k, clouds.stop,
+    )  # fmt: skip
     rows = allocate_rows(own.source)
     stack = (
         np.empty((_DEPTH, 7)), np.empty((_DEPTH, 7)), np.empty((_DEPTH, m), np.uint16), np.empty(3)

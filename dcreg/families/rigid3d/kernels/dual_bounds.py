@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcreg.assignment.kernels.selection import smallest_sum, total
-from dcreg.families.kernels import add_penalty
+from dcreg.families.kernels import add_penalty, weigh
 from dcreg.families.rigid3d.kernels.rough import (
     Auction,
     auction,
@@ -160,6 +160,7 @@ def _begin(view, kept, work):
         work.columns[4, j] = np.float32(kept[j] * (_KEPT * _UNIT))
     rough_costs(view.source, work.columns, work.costs)
     add_penalty(view.infeasibility_penalty, work.costs)
+    weigh(view.weights, work.costs)
 
 
 @jit
@@ -193,7 +194,7 @@ def _at_vertices(view, box, farthest, level, work, out):
     low = work.exact[0]
     for i in range(low.size):
         low[i] = work.rows[1, i]
-    found = costs_at_vertices(view.source, low, view.k, box, level, work.exact, out)
+    found = costs_at_vertices(view, low, box, level, work.exact, out)
     duals = total(work.columns[3])
     reach = box.shift_radius + 2.0 * box.tangent * farthest  # of a displacement
     off = duals + _rounding(view, farthest, reach, found, duals)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from dcreg.assignment.kernels.selection import least, sum_of_smallest
-from dcreg.families.kernels import Clouds, add_penalty
+from dcreg.families.kernels import Clouds, add_penalty, weigh
 from dcreg.families.rotation3d.kernels.geometry import chord_matrix, transform
 from dcreg.jit import jit, jit_inner, jit_part
 
@@ -44,7 +44,10 @@ def relative_vertices(centre, lower, upper, out):
 def empty_view(clouds):
     """Allocate clouds that `look_from` fills."""
     source, target = np.empty(clouds.source.shape), np.empty(clouds.target.shape)
-    return Clouds(source, target, clouds.infeasibility_penalty, clouds.k, clouds.stop)
+    return Clouds(
+        source, target, clouds.infeasibility_penalty, clouds.weights, clouds.heaviest, clouds.k,
+        clouds.stop,
+    )  # fmt: skip
 
 
 @jit_inner
@@ -84,7 +87,7 @@ def nearest_sums(caps, shift_radius, k):
 
 @jit
 def pose_costs(theta, clouds, out):
-    """Fill (n, m) squared residuals at a pose, with the penalties of infeasible pairs."""
+    """Fill (n, m) squared residuals at a pose, with penalties and weights."""
     view = empty_view(clouds)
     look_from(clouds, theta, view)
     pair_costs(view, out)
@@ -92,7 +95,7 @@ def pose_costs(theta, clouds, out):
 
 @jit_inner
 def pair_costs(clouds, out):
-    """Fill (n, m) squared distances, with the penalties of infeasible pairs."""
+    """Fill (n, m) squared distances, with penalties and weights."""
     source, target = clouds.source, clouds.target
     for i in range(out.shape[0]):
         a, b, c = source[0, i], source[1, i], source[2, i]
@@ -100,6 +103,7 @@ def pair_costs(clouds, out):
             x, y, z = a - target[0, j], b - target[1, j], c - target[2, j]
             out[i, j] = x * x + y * y + z * z
     add_penalty(clouds.infeasibility_penalty, out)
+    weigh(clouds.weights, out)
 
 
 @jit

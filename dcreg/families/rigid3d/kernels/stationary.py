@@ -106,13 +106,17 @@ def proven(root, rest, cost):
 
 
 @jit_reduction
-def _displace(moved, p, q, r, low, work):
-    """Write displacements by a rotation to rows 1 to 3 of `work`, `low` minus their squares to row 4."""
-    x, y, z = moved[0], moved[1], moved[2]
+def _displace(moved, heaviest, gibbs, square, low, work):
+    """Write displacements by a rotation to rows 1 to 3 of `work`, `low` minus their squares to row 4.
+
+    Both are multiplied by the weights `heaviest`; of the `square` of a shift, the missing part is added.
+    """
+    x, y, z, p, q, r = moved[0], moved[1], moved[2], 2.0 * gibbs[0], 2.0 * gibbs[1], 2.0 * gibbs[2]
     u, v, w, net = work[1], work[2], work[3], work[4]
     for i in range(low.size):
-        u[i], v[i], w[i] = q * z[i] - r * y[i], r * x[i] - p * z[i], p * y[i] - q * x[i]
-        net[i] = low[i] - (u[i] * u[i] + v[i] * v[i] + w[i] * w[i])
+        a, b, c, weight = q * z[i] - r * y[i], r * x[i] - p * z[i], p * y[i] - q * x[i], heaviest[i]
+        u[i], v[i], w[i] = weight * a, weight * b, weight * c
+        net[i] = low[i] - weight * (a * a + b * b + c * c) + (1.0 - weight) * square
 
 
 @jit_reduction
@@ -128,26 +132,25 @@ def _depths(work, a, b, c, level):
 
 
 @jit_inner
-def costs_at_vertices(moved, low, k, box, level, work, out):
+def costs_at_vertices(view, low, box, level, work, out):
     """Fill lower bounds on C of `Loss` at each vertex of a box, for rows that cost at least `low`.
 
     Returns their minimum, which is also the minimum over the box, because displacements are linear in
     (r, s): a rotation with Gibbs vector r and a shift s move a point x by 2 r x x + s. The sum of the k
     smallest numbers is at least ``k level - sum max(0, level - number)`` for any level. The best level
-    of one vertex serves all vertices.
+    of one vertex serves all vertices. Displacements have the maximum weights of the source points.
 
     Entry 8 a + s of `out` is that of the rotation vertex a and the shift s, whose three bits mark
     negative axes; +inf if there is no such vertex. `work` is (5, n); row 0 is not changed.
     """
-    vertices, half, n = box.vertices, box.half, low.size
-    square = k * (half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    vertices, half, n, k = box.vertices, box.half, low.size, view.k
+    shift = half[0] ** 2 + half[1] ** 2 + half[2] ** 2
+    square = k * shift
     for at in range(out.size):
         out[at] = np.inf
     found = u = v = w = 0.0
     for a in range(vertices.shape[0]):
-        _displace(
-            moved, 2.0 * vertices[a, 0], 2.0 * vertices[a, 1], 2.0 * vertices[a, 2], low, work
-        )
+        _displace(view.source, view.heaviest, vertices[a], shift, low, work)
         if a == 0 or k == n:
             spacing = 0.02 * (abs(level) + abs(total(work[4])) / n)
             found, level = smallest_sum(work[4], k, level, spacing)

@@ -144,13 +144,13 @@ class Effort(NamedTuple):
 
 
 @jit_part
-def charged_value(axes, k, low, level, profile, delta, charged):
+def charged_value(clouds, low, level, profile, delta, charged):
     """Return a lower bound on min_P sum p_ij [E_ij(v) - R_i(delta)] from the profile of a vertex."""
-    plane_curvature(axes, delta, charged)
+    plane_curvature(clouds, delta, charged)
     level -= total(charged) / charged.size
     for i in range(charged.size):
         charged[i] = profile[i] - charged[i]
-    return smallest_sum(charged, k, level, 2.0 * abs(low) / (k * k))[0]
+    return smallest_sum(charged, clouds.k, level, 2.0 * abs(low) / (clouds.k * clouds.k))[0]
 
 
 @jit
@@ -178,9 +178,13 @@ def shared_bounds(clouds, known, effort, boxes):
                     delta[a] = corner[v, a] - point[a]
                 slot = boxes.slots[box, v]
                 charged[v] = charged_value(
-                    clouds.source, clouds.k, known.lows[slot], known.levels[slot],
-                    known.profiles[slot], delta, charges,
-                )  # fmt: skip
+                    clouds,
+                    known.lows[slot],
+                    known.levels[slot],
+                    known.profiles[slot],
+                    delta,
+                    charges,
+                )
                 if charged[v] < bound:
                     bound, at = charged[v], v
             previous = best

@@ -118,7 +118,7 @@ def _by_displacements(view, box, scales, limits, work, out, duals):
     `scales` are the scale that represents the box, and the ends of its scales relative to this one.
     """
     scale, least, most = scales
-    low, k = work[0], view.k
+    low = work[0]
     stretch = max(1.0 - least, most - 1.0)
     for i in range(low.size):
         own = view.source[0, i] ** 2 + view.source[1, i] ** 2 + view.source[2, i] ** 2
@@ -129,8 +129,8 @@ def _by_displacements(view, box, scales, limits, work, out, duals):
         for c in range(3):
             vertices[a, c] = root_of_most * box.vertices[a, c]
     larger = BoxGeometry(vertices, box.half, box.tangent, box.shift_radius)
-    level = kth_smallest(low, k - 1)
-    cost = costs_at_vertices(view.source, low, k, larger, level, work, out) - duals
+    level = kth_smallest(low, view.k - 1)
+    cost = costs_at_vertices(view, low, larger, level, work, out) - duals
     t = box.tangent
     uneven = max(abs(most - root_of_most), abs(least - math.sqrt(least)))
     crossed = 2.0 * stretch + 4.0 * uneven * t + 4.0 * most * t * t / math.sqrt(1.0 + t * t)

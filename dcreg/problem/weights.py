@@ -1,0 +1,143 @@
+"""Weights of points, and the costs of pairs that follow from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dcreg.problem.errors import InputError
+
+LEAST = 1e-9  # least weight, relative to the largest one
+
+
+@dataclass(frozen=True)
+class PairWeights:
+    """Costs of weighted pairs: a squared residual r^2 becomes ``factors * r^2 + extra``.
+
+    Attributes
+    ----------
+    factors : (n, m) array
+        Above 0; the maximum is 1.
+    extra : (n, m) array
+        Not negative, in squared units of length.
+    """
+
+    factors: np.ndarray
+    extra: np.ndarray
+
+    def costs(self, squares: np.ndarray) -> np.ndarray:
+        """Return the costs of all pairs with these (n, m) squared residuals."""
+        costs: np.ndarray = self.factors * squares + self.extra
+        return costs
+
+    def of(self, pairs: np.ndarray) -> np.ndarray:
+        """Return the factors of (k, 2) pairs."""
+        weights: np.ndarray = self.factors[pairs[:, 0], pairs[:, 1]]
+        return weights
+
+    def scaled(self, area: float) -> PairWeights:
+        """Return the same weights in another unit of area."""
+        return replace(self, extra=self.extra * area)
+
+
+@dataclass(frozen=True)
+class PointWeights:
+    """Weights of the points of both clouds, such as inverse variances or confidences.
+
+    The weight of a pair is the product of the weights of its points, divided by the maximum product. A
+    pair of weight w with the residual r costs ``w r^2 + (1 - w) distance^2``: its missing weight counts
+    like a residual of length `distance`. Light pairs are therefore not cheap. Among pairs with residuals
+    below `distance`, heavier ones cost less.
+
+    Attributes
+    ----------
+    source, target : (n,), (m,) arrays, optional
+        Positive numbers; default: equal weights. Source weights give tighter bounds than target weights.
+    distance : float, optional
+        In units of the target, such as the largest residual of a right pair. It can be omitted if only
+        one cloud is weighted and all its points are matched: the sum of the weights is then the same for
+        every matching, and a pair costs ``w r^2``.
+
+    Examples
+    --------
+    >>> import numpy as np, dcreg
+    >>> points = np.random.default_rng(0).random((12, 2))
+    >>> moved = points + 3.0
+    >>> moved[0] += 0.5  # an error of the first point
+    >>> weights = dcreg.PointWeights(source=[1e-6] + 11 * [1.0])
+    >>> for given in (None, weights):
+    ...     found = dcreg.register(points, moved, n_inliers=12, model="similarity2d", weights=given)
+    ...     print(found.translation.round(3))
+    [3.032 3.008]
+    [3. 3.]
+    """
+
+    source: Any = None
+    target: Any = None
+    distance: float | None = None
+
+    def of_pairs(self, n: int, m: int, n_inliers: int) -> PairWeights | None:
+        """Return the costs of pairs; None if all points have the same weight.
+
+        Raises
+        ------
+        InputError
+        """
+        rows, columns = _checked("source", self.source, n), _checked("target", self.target, m)
+        is_flat = np.ptp(rows) == 0.0, np.ptp(columns) == 0.0
+        distance = self._checked_distance()
+        if all(is_flat):
+            return None
+        # the matched weights add up to the same sum in every matching
+        is_constant = (is_flat[1] and n_inliers == n) or (is_flat[0] and n_inliers == m)
+        if distance is None and not is_constant:
+            raise InputError(
+                f"weights: with n_inliers={n_inliers} of {n} source and {m} target points, a matching "
+                "could gain by light points; give distance (--weight-distance), the residual that a "
+                "missing weight counts as, or weight one cloud only and match all of its points"
+            )
+        factors = np.outer(rows / rows.max(), columns / columns.max())
+        return PairWeights(factors, (1.0 - factors) * (distance or 0.0) ** 2)
+
+    def _checked_distance(self) -> float | None:
+        given = self.distance
+        if given is None:
+            return None
+        is_number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
+        if not (is_number and 0.0 < given < np.inf):
+            raise InputError(
+                f"weights: distance {given!r} is not a positive number; give a length in units of the "
+                "target, such as 0.1"
+            )
+        return float(given)
+
+
+def _checked(name: str, given: Any, count: int) -> np.ndarray:
+    """Return the weights of one cloud as positive numbers."""
+    if given is None:
+        return np.ones(count)
+    try:
+        weights = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(
+            f"weights: {name} is not an array of numbers; give one per point"
+        ) from None
+    if weights.shape != (count,):
+        raise InputError(
+            f"weights: {name} has the shape {weights.shape}, but there are {count} {name} points; give "
+            "one number per point"
+        )
+    bad = np.flatnonzero(~((weights > 0.0) & np.isfinite(weights)))
+    if bad.size:
+        raise InputError(
+            f"weights: {name} has {weights[bad[0]]} in row {bad[0]}; give positive numbers, and leave "
+            "out points that should not count"
+        )
+    if weights.min() < LEAST * weights.max():
+        raise InputError(
+            f"weights: {name} ranges from {weights.min():g} to {weights.max():g}; leave out points with "
+            f"less than {LEAST:g} times the largest weight"
+        )
+    return weights

@@ -1,0 +1,102 @@
+"""Which methods are best on each test: success rates, each compared with the highest one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pandas as pd
+from scipy.stats import binomtest
+
+from reports.ledger.intervals import holm
+from reports.tables import Tables, is_right, share_interval
+from workflows.outcomes import attempted
+
+ALL = "all tests"
+BEST, TIED, WORSE = "best", "tied", "worse"
+_INSTANCE = ["instance_id", "n_inliers_ratio"]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The right runs of one method on one test.
+
+    `standing` is `BEST` for the highest success rate, `TIED` for methods with a lower one that are not
+    significantly worse, `WORSE` for all others, and empty for methods that receive the true pairs.
+    """
+
+    right: int
+    runs: int
+    standing: str
+
+    @property
+    def share(self) -> float:
+        return self.right / self.runs
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        return share_interval(self.right, self.runs)
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """Success of all methods on all tests of a model; the first column holds all tests together."""
+
+    model: str
+    columns: list[str]
+    rows: dict[str, dict[str, Cell]]  # by method: the highest first, those with the true pairs last
+
+    def standing(self, standing: str) -> list[str]:
+        """Return the methods with a standing in the first column."""
+        first = self.columns[0]
+        return [name for name, row in self.rows.items() if row[first].standing == standing]
+
+
+def matrices(tables: Tables) -> list[Matrix]:
+    """Return a matrix for each model with attempted runs."""
+    runs = attempted(tables.runs[["model", "test", "method", "outcome", "success", *_INSTANCE]])
+    runs = runs.assign(success=is_right(runs))
+    return [_matrix(tables, str(model), part) for model, part in runs.groupby("model", sort=False)]
+
+
+def _matrix(tables: Tables, model: str, runs: pd.DataFrame) -> Matrix:
+    tests = list(dict.fromkeys(runs["test"]))
+    parts = {ALL: runs} if len(tests) > 1 else {}
+    parts |= {test: runs[runs["test"] == test] for test in tests}
+    columns = {name: _column(tables, part) for name, part in parts.items()}
+    first = next(iter(columns.values()))
+
+    def rank(method: str) -> tuple[bool, float, int]:
+        return tables.is_oracle(method), -first[method].share, tables.methods.index(method)
+
+    rows = {
+        method: {name: cells[method] for name, cells in columns.items() if method in cells}
+        for method in sorted(first, key=rank)
+    }
+    return Matrix(model, list(columns), rows)
+
+
+def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
+    """Return the cell of each method. Holm's procedure covers the comparisons with the highest rate."""
+    right = runs.pivot_table(index=_INSTANCE, columns="method", values="success", aggfunc="first")
+    rivals = [name for name in tables.methods if name in right and not tables.is_oracle(name)]
+    standing = dict.fromkeys(right, "")
+    if rivals:
+        shares = {name: right[name].mean() for name in rivals}
+        best = max(rivals, key=lambda name: shares[name])
+        others = [name for name in rivals if shares[name] < shares[best]]
+        p_of = [_p_value(right[best], right[name]) for name in others]
+        standing |= dict.fromkeys(rivals, BEST)
+        for name, p, level in zip(others, p_of, holm(p_of), strict=True):
+            standing[name] = WORSE if p <= level else TIED
+    return {
+        str(name): Cell(int(column.sum()), int(column.count()), standing[name])
+        for name, column in right.items()
+    }
+
+
+def _p_value(best: pd.Series, other: pd.Series) -> float:
+    """Return the p-value of McNemar's exact test on the instances that both methods attempted."""
+    both = best.notna() & other.notna()
+    wins = int((best[both].astype(bool) & ~other[both].astype(bool)).sum())
+    losses = int((~best[both].astype(bool) & other[both].astype(bool)).sum())
+    return float(binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
