@@ -136,6 +136,21 @@ def test_roots_contain_the_poses_of_a_range(dim, seed):
 @cases
 @given(seed=seeds)
 @settings(deadline=None, max_examples=30)
+def test_roots_contain_the_poses_at_a_distance_from_known_ones(dim, seed):
+    space, rng = space_of(seed, "far", dim), np.random.default_rng(seed)
+    for T in space.region.poses:
+        step, moved = rng.standard_normal(dim), T.copy()
+        moved[:dim, dim] += space.region.distance * step / np.linalg.norm(step)
+        theta = space.normalised(space.parameter(moved))
+        assert any(
+            (theta >= root.lower - 1e-7).all() and (theta <= root.upper + 1e-7).all()
+            for root in space.roots()
+        )
+
+
+@cases
+@given(seed=seeds)
+@settings(deadline=None, max_examples=30)
 def test_a_pose_near_any_pose_is_in_the_range(dim, seed):
     rng = np.random.default_rng(seed)
     kind = int(rng.integers(len(RANGES)))

@@ -105,6 +105,18 @@ def test_symmetric_shapes_have_all_their_poses():
     assert [round(each.angle_deg) for each in found.others] == [180, 180, 180]
 
 
+def test_poses_are_distinct_beyond_the_displacement_given():
+    """Turns by 72 degrees displace the points by 1.18: between once and twice 0.7."""
+    turns = 2 * np.pi * np.arange(5) / 5
+    pentagon = np.column_stack([np.cos(turns), np.sin(turns)])
+    found = dcreg.alternatives(
+        pentagon, pentagon, n_inliers=5, model="similarity2d", scale_range=(1, 1),
+        min_displacement=0.7, time_limit=20,
+    )  # fmt: skip
+    assert found.is_complete
+    assert sorted(round(each.angle_deg) for each in found.others) == [72, 72, 144, 144]
+
+
 def test_a_shape_without_symmetry_has_one_pose():
     found = dcreg.alternatives(SOURCE, TARGET, **KEYWORDS)
     assert found.is_unique
@@ -241,6 +253,19 @@ def test_a_good_guess_is_the_first_upper_bound(best):
     assert found.trace.events[0].upper_bound == pytest.approx(best.upper_bound, rel=1e-6)
 
 
+def test_a_search_of_all_poses_that_hits_its_limit_proves_nothing():
+    """The shape is symmetric, so the pose outside the range is as good as the one inside."""
+    grid = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [0.0, 1.0], [1.0, 0.0], [2.0, 1.0]])
+    target = -grid + 0.05 * np.random.default_rng(2).standard_normal(grid.shape)
+    found = dcreg.register(
+        grid, target, n_inliers=6, model="similarity2d", scale_range=(1, 1), rel_gap=0.5,
+        pose_range=dcreg.PoseRange(max_angle=40), node_limit=1,
+    )  # fmt: skip
+    assert found.stages[0].name == "all poses"
+    assert found.status == "node_limit"
+    assert found.lower_bound < 0.5 * found.upper_bound
+
+
 @pytest.mark.parametrize("angle", [90.0, 20.0])
 def test_ranges_hold_for_samples_and_all_points(angle):
     rng = np.random.default_rng(1)
@@ -262,6 +287,17 @@ def test_largest_number_of_pairs_is_bracketed():
     assert found.at_least >= 14
     assert found.at_most < 20
     assert str(found.at_least) in found.answer
+
+
+@pytest.mark.parametrize(("distance", "count"), [(0.21, 3), (0.19, 2)])
+def test_pairs_are_bounded_close_to_the_distance(distance, count):
+    """The best pose of two triangles has three residuals of 0.2."""
+    turns = 2 * np.pi * np.arange(3) / 3
+    triangle = np.column_stack([np.cos(turns), np.sin(turns)])
+    found = dcreg.max_inliers(
+        triangle, 1.2 * triangle, distance=distance, model="similarity2d", scale_range=(1, 1)
+    )
+    assert (found.at_least, found.at_most) == (count, count)
 
 
 # --- the reader of poses ---------------------------------------------------------------------------
