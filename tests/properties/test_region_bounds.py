@@ -1,5 +1,7 @@
 """Boxes of poses against a region: tests of boxes are certain, and bounds hold for every pose in them."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +12,9 @@ import dcreg
 from dcreg.families.region import Far, Near, angles
 from dcreg.families.rigid3d.region import RegionBound, rigid_in_region
 from dcreg.families.similarity2d.region import similarity_in_region
-from dcreg.problem import Frame, Problem, apply_pose
+from dcreg.problem import Frame, Moments, Problem, apply_pose
+from dcreg.problem.geometry import fit_pose
+from dcreg.questions.other_poses import Search
 from dcreg.search import Boxes, LongestEdge
 
 seeds = st.integers(0, 10_000)
@@ -164,3 +168,24 @@ def test_a_pose_near_any_pose_is_in_the_range(dim, seed):
     assert own.contains(fitted)
     perfect = own.fit(source, apply_pose(T, source), (1.0, 1.0))
     assert np.allclose(perfect, T, atol=1e-7)
+
+
+@given(seed=seeds, noise=st.floats(0.0, 0.3), turn=st.floats(0.0, 0.6))
+def test_the_cost_of_a_matching_grows_with_the_distance_from_its_best_pose(seed, noise, turn):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(3, 12))
+    source = rng.standard_normal((n, 3)) * rng.random(3)
+    target = source + noise * rng.standard_normal((n, 3))
+    best, moved = fit_pose(source, target, (1.0, 1.0)), np.eye(4)
+    axis = rng.standard_normal(3)
+    moved[:3, :3] = Rotation.from_rotvec(turn * axis / np.linalg.norm(axis)).as_matrix()
+    moved[:3, 3] = 0.1 * rng.standard_normal(3)
+    moved = moved @ best
+    least, cost = (float(((apply_pose(T, source) - target) ** 2).sum()) for T in (best, moved))
+    searched = SimpleNamespace(source=source, n_inliers=n, candidates=None, weights=None)
+    asked = SimpleNamespace(
+        normalised=searched, setup=SimpleNamespace(frame=SimpleNamespace(area=1.0)),
+        result=SimpleNamespace(lower_bound=least), threshold=cost,
+    )  # fmt: skip
+    grown = Search._grown(asked, Moments.of(source).displacement(moved, best))
+    assert grown <= cost * (1.0 + 1e-9) + 1e-12
