@@ -118,7 +118,7 @@ def check_mode(
                 "certificate: `dcreg verify` knows no ranges of poses; omit certificate or pose_range"
             )
     n, m = len(problem.source), len(problem.target)
-    if n * m > MAX_PAIRS and not _is_matrix_free(mode, problem, bound):
+    if n * m > MAX_PAIRS and not is_matrix_free(mode, problem, bound):
         remedy = "downsample both clouds first (downsample=200, or --downsample 200)"
         if problem.model == "rigid3d":
             remedy += f", or use mode 'paper' with bound {DEFAULT_BOUND!r} and without candidates"
@@ -141,7 +141,8 @@ def _has_paper(model: str) -> bool:
     return "paper" in mode_names(model)
 
 
-def _is_matrix_free(mode: Mode, problem: Problem, bound: str | None) -> bool:
+def is_matrix_free(mode: Mode, problem: Problem, bound: str | None) -> bool:
+    """Tell whether the search needs no matrix of costs."""
     return (
         mode.in_norm_space
         and mode.make_bound is None
