@@ -13,6 +13,8 @@ import dcreg
 from dcreg.driver import memory
 from dcreg.driver.downsample import to_search
 from dcreg.driver.modes import choose_mode, find_mode
+from dcreg.families.rigid3d.cover import CongruentCover
+from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem import Problem
 from tests.problems import register
 
@@ -32,12 +34,12 @@ def estimate(n, m, model="rigid3d", candidates=None):
 
 
 def test_the_estimate_is_near_the_measured_peak():
-    """The peak is that of a process of its own; 400 points use the fields of two threads."""
+    """The peak is that of a separate process."""
     code = (
         "from tests.bench.measure import peak_memory_mb\n"
         "from tests.unit.test_memory import clouds, register\n"
-        "x, y = clouds(400, 400, 3)\n"
-        "found = register(x, y, n_inliers=0.8, model='rigid3d', time_limit=1.5)\n"
+        "x, y = clouds(100, 100, 3)\n"
+        "found = register(x, y, n_inliers=0.8, model='rigid3d', time_limit=0.5)\n"
         "print(found.memory_estimate.peak_mb, peak_memory_mb())"
     )
     finished = subprocess.run(
@@ -99,3 +101,8 @@ def test_the_notice_comes_before_the_search_and_the_estimate_is_in_the_result(ca
         found = register(*clouds(8, 8, 2), n_inliers=8, model="similarity2d", time_limit=None)
     assert f"estimated memory: {found.memory_estimate}; time: no limit" in caplog.text
     assert found.to_dict()["memory_estimate"]["box_bytes"] == 104
+
+
+def test_triples_are_not_used_with_so_many_targets_that_their_distances_do_not_fit():
+    assert CongruentCover(Rigid3D(*clouds(40, 2000, 3), 30)).applies
+    assert not CongruentCover(Rigid3D(*clouds(40, 2001, 3), 30)).applies
