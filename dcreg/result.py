@@ -16,7 +16,7 @@ from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, plain, write_text
 from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED
 from dcreg.problem import InputError, OpenDirection, rotation_angle_deg, scale_of
-from dcreg.result_parts import RunnerUp, Sample, Score, Stage, Trace
+from dcreg.result_parts import MemoryEstimate, RunnerUp, Sample, Score, Stage, Trace
 from dcreg.search import proven_share
 from dcreg.status import Status
 
@@ -85,6 +85,8 @@ class Result:
     open_directions : list of OpenDirection
         Motions along which the clouds slide on each other, such as those of a plane. The pairs then fit
         as well, so the covariance does not show them. Needs at least 200 target points.
+    memory_estimate : MemoryEstimate, optional
+        The memory that the solve was expected to need.
     warnings : list of str
         Possible problems with the result, and what to do about them.
     """
@@ -117,6 +119,7 @@ class Result:
     max_rms: float | None = None
     covariance: np.ndarray | None = None
     open_directions: list[OpenDirection] = field(default_factory=list)
+    memory_estimate: MemoryEstimate | None = None
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -195,7 +198,8 @@ class Result:
             "bound", "mode", "lower_bound", "upper_bound", "gap", "gap_tol", "bound_ratio", "is_exact",
             "objective", "objective_certified", "n_nodes", "n_assignments", "time_setup_s",
             "time_solve_s", "certificate_scope", "rmse_matched", "max_rms", "assignment", "downsampled",
-            "score", "runner_up", "covariance", "open_directions", "warnings",
+            "score", "runner_up", "covariance", "open_directions", "memory_estimate",
+            "warnings",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "stages": [stage.to_dict() for stage in self.stages]})

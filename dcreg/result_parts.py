@@ -45,6 +45,32 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class MemoryEstimate:
+    """The memory that a solve was expected to need, estimated before it began.
+
+    Attributes
+    ----------
+    peak_mb : float
+        Peak memory of the process, without what grows with the length of the search: the values that a
+        bounding function stores about boxes, and the open boxes.
+    stored_mb : float
+        Maximum size of these values.
+    box_bytes : int
+        Size of an open box.
+    """
+
+    peak_mb: float
+    stored_mb: float
+    box_bytes: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.peak_mb:,.0f} MB; a long search needs up to {self.stored_mb:,.0f} MB more, and "
+            f"{text.count(self.box_bytes, 'byte')} for each open box"
+        )
+
+
+@dataclass(frozen=True)
 class Stage:
     """Bounds, work and time of one stage of a solve.
 

@@ -22,6 +22,7 @@ from dcreg.driver.downsample import (
     share_of_search,
     to_search,
 )
+from dcreg.driver.memory import advance_notice, check_memory, estimated_memory
 from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
@@ -40,6 +41,7 @@ from dcreg.problem import (
 )
 from dcreg.problem.geometry import exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
+from dcreg.result_parts import MemoryEstimate
 from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget, Event, Listener
 from dcreg.status import Status
@@ -85,6 +87,7 @@ class Setup:
     options : SolveOptions
     time_s : float
         Seconds that the decisions took, compilation included.
+    memory : MemoryEstimate
     checkpoint : CheckpointFile, optional
         ``options.checkpoint``, opened.
     """
@@ -96,6 +99,7 @@ class Setup:
     limits: Limits
     options: SolveOptions
     time_s: float
+    memory: MemoryEstimate
     checkpoint: CheckpointFile | None = None
 
     @classmethod
@@ -142,6 +146,10 @@ class Setup:
         chosen = mode or find_mode(largest.model, name)
         check_mode(chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms)
         limits.check(largest.n_inliers)
+        memory = estimated_memory(problems[-1], largest, chosen, bound)
+        check_memory(memory, problems[-1])
+        if notice := advance_notice(memory, problems[-1], limits.time_s):
+            _LOGGER.info(notice)
         checkpoint = None
         if options.checkpoint is not None:
             from dcreg.driver.checkpoint import open_checkpoint  # few searches need it
@@ -156,7 +164,7 @@ class Setup:
                 warm_up_region(chosen)
         frame = Frame.of(largest)
         time_s = time.perf_counter() - began
-        return cls(problems, searched, frame, chosen, limits, options, time_s, checkpoint)
+        return cls(problems, searched, frame, chosen, limits, options, time_s, memory, checkpoint)
 
     @property
     def is_sampled(self) -> bool:
@@ -286,7 +294,7 @@ class Finish:
             status=solution.status, model=problem.model, mode=mode.name,
             bound=normalised.bound, T_target_source=T, T_certified=solution.T, assignment=pairs,
             n_inliers=problem.n_inliers, lower_bound=solution.lower_bound, upper_bound=upper_bound,
-            max_rms=self.setup.limits.max_rms,
+            max_rms=self.setup.limits.max_rms, memory_estimate=self.setup.memory,
             gap_tol=tolerance.allowed(upper_bound), is_exact=tolerance.is_exact(upper_bound),
             certificate_scope=solution.scope + ", weighted points" * (problem.weights is not None),
             objective=final, objective_certified=before[0],
