@@ -51,8 +51,8 @@ class Stage:
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid``, ``triples``, ``distances``, ``polish``, ``pairs``, ``all
-        points``; in sweeps also ``local searches``; in `dcreg.register_matches` ``start`` and
+        ``search``, ``rotation``, ``rigid``, ``triples``, ``distances``, ``feasible pairs``, ``polish``,
+        ``pairs``, ``all points``; in sweeps also ``local searches``; in `dcreg.register_matches` ``start`` and
         ``rotation``.
     time_s : float
     n_nodes, n_assignments : int

@@ -47,6 +47,8 @@ NORM_PAIRS = 4_000_000
 CERTIFIED_PAIRS = 160_000
 # Share of the time for the translation search; the rotation search follows.
 TRANSLATION_SHARE = 0.8
+# The stage that searches a relaxation, and the feasible pairs up to which it does.
+FEASIBLE, MAX_FEASIBLE = "feasible pairs", 2000
 ALL_POSES = "all poses"  # the stage of a search that a range of poses does not limit
 
 
@@ -279,6 +281,9 @@ def _attempts(
     """
     attempt = Attempt(mode, problem)
     region = problem.region
+    if is_relaxed(mode, problem):
+        yield from _relaxed_attempts(attempt, budget)
+        return
     if region is None or not region.has_limits:
         yield attempt, attempt.run(budget)
         return
@@ -305,6 +310,35 @@ def _attempts(
     lower_bound = min(max(floor, found.lower_bound), found.upper_bound)
     status = tolerance.status(lower_bound, found.upper_bound) or found.status
     yield attempt, replace(found, status=status, lower_bound=lower_bound)
+
+
+def is_relaxed(mode: Mode, problem: NormalisedProblem) -> bool:
+    """Tell whether a relaxation over the feasible pairs is searched first: to refute a target."""
+    if mode.relaxation is None or problem.candidates is None or problem.region is not None:
+        return False
+    is_possible = problem.budget.assignments is None and not problem.keep_leaves
+    is_short = np.count_nonzero(problem.candidates) <= MAX_FEASIBLE
+    return problem.tolerance.target is not None and is_possible and bool(is_short)
+
+
+def _relaxed_attempts(attempt: Attempt, budget: Budget) -> Iterator[tuple[Attempt, Outcome]]:
+    """Yield the search of the relaxation, then that of the poses unless the question is decided."""
+    mode, problem, space = attempt.mode, attempt.problem, attempt.space
+    tolerance = problem.tolerance
+    assert mode.relaxation is not None
+    relaxed = mode.relaxation(
+        problem.source, problem.target, problem.n_inliers, problem.candidates, limit=tolerance.target,
+        local_search=lambda T: space.refine(space.parameter(T)), stage=FEASIBLE, budget=budget,
+    )  # fmt: skip
+    yield Attempt(replace(mode, stage=FEASIBLE), problem), relaxed
+    low, high = relaxed.lower_bound, relaxed.upper_bound
+    if tolerance.status(low, high) is Status.REFUTED:
+        return
+    # a pose that reaches the target ends the search; otherwise other initial poses may be better
+    start = Start(relaxed.theta, high) if high <= tolerance.enough else None
+    found = attempt.run(budget, start)
+    low = min(max(low, found.lower_bound), found.upper_bound)
+    yield attempt, replace(found, lower_bound=low)
 
 
 def recover_pose(

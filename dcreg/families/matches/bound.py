@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 from dcreg.families.matches.kernels.bounds import rotation_bounds
@@ -84,9 +87,9 @@ class MatchBound:
         pose, value = descend(self._problem, theta.reshape(3, 4))
         return pose.ravel(), value, 0
 
-    def search(self, budget: Budget, start: tuple[np.ndarray, float]) -> Outcome:
+    def search(self, budget: Budget, start: Sequence[Any], stage: str = "rotation") -> Outcome:
         """Certify the pose `start`, or find a better one."""
         return branch_and_bound(
             self, budget, branching=LongestEdge(self.axis_weights), tolerance=self._tolerance,
-            refine=self.refine, start=start, stage="rotation",
+            refine=self.refine, start=start, stage=stage,
         )  # fmt: skip
