@@ -52,8 +52,8 @@ class Stage:
     ----------
     name : str
         ``search``, ``rotation``, ``rigid``, ``triples``, ``distances``, ``feasible pairs``, ``polish``,
-        ``pairs``, ``all points``; in sweeps also ``local searches``; in `dcreg.register_matches` ``start`` and
-        ``rotation``.
+        ``pairs``, ``all points``; in sweeps also ``local searches``; in `dcreg.register_matches`
+        ``start`` and ``rotation``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from dcreg.assignment.consistency import refutes
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.families.mode import Mode, load_mode
 from dcreg.families.registry import bound_parts, make_bound
@@ -21,7 +22,7 @@ from dcreg.jit import when_compiling
 from dcreg.names import AUTO, DEFAULT_BOUND, MODEL_DIM, mode_files, mode_names
 from dcreg.problem import InputError, Problem, suggestion
 from dcreg.result import Stage
-from dcreg.search import Bound, Box, Boxes, Budget, Interrupted, Outcome, Start, minimise
+from dcreg.search import Bound, Box, Boxes, Budget, Event, Interrupted, Outcome, Start, minimise
 from dcreg.search.space_search import Cover
 from dcreg.status import Status
 
@@ -47,8 +48,9 @@ NORM_PAIRS = 4_000_000
 CERTIFIED_PAIRS = 160_000
 # Share of the time for the translation search; the rotation search follows.
 TRANSLATION_SHARE = 0.8
-# The stage that searches a relaxation, and the feasible pairs up to which it does.
+# The stage that compares distances within feasible pairs, and the number of them up to which it does.
 FEASIBLE, MAX_FEASIBLE = "feasible pairs", 2000
+REFUTING_SHARE = 0.5  # of the time, at most
 ALL_POSES = "all poses"  # the stage of a search that a range of poses does not limit
 
 
@@ -281,8 +283,8 @@ def _attempts(
     """
     attempt = Attempt(mode, problem)
     region = problem.region
-    if is_relaxed(mode, problem):
-        yield from _relaxed_attempts(attempt, budget)
+    if refuted := _refuted(attempt, budget):
+        yield Attempt(replace(mode, stage=FEASIBLE), problem), refuted
         return
     if region is None or not region.has_limits:
         yield attempt, attempt.run(budget)
@@ -312,33 +314,30 @@ def _attempts(
     yield attempt, replace(found, status=status, lower_bound=lower_bound)
 
 
-def is_relaxed(mode: Mode, problem: NormalisedProblem) -> bool:
-    """Tell whether a relaxation over the feasible pairs is searched first: to refute a target."""
-    if mode.relaxation is None or problem.candidates is None or problem.region is not None:
-        return False
-    is_possible = problem.budget.assignments is None and not problem.keep_leaves
-    is_short = np.count_nonzero(problem.candidates) <= MAX_FEASIBLE
-    return problem.tolerance.target is not None and is_possible and bool(is_short)
+def _refuted(attempt: Attempt, budget: Budget) -> Outcome | None:
+    """Return the outcome if the distances within few feasible pairs prove that no pose meets the target.
 
-
-def _relaxed_attempts(attempt: Attempt, budget: Budget) -> Iterator[tuple[Attempt, Outcome]]:
-    """Yield the search of the relaxation, then that of the poses unless the question is decided."""
-    mode, problem, space = attempt.mode, attempt.problem, attempt.space
-    tolerance = problem.tolerance
-    assert mode.relaxation is not None
-    relaxed = mode.relaxation(
-        problem.source, problem.target, problem.n_inliers, problem.candidates, limit=tolerance.target,
-        local_search=lambda T: space.refine(space.parameter(T)), stage=FEASIBLE, budget=budget,
-    )  # fmt: skip
-    yield Attempt(replace(mode, stage=FEASIBLE), problem), relaxed
-    low, high = relaxed.lower_bound, relaxed.upper_bound
-    if tolerance.status(low, high) is Status.REFUTED:
-        return
-    # a pose that reaches the target ends the search; otherwise other initial poses may be better
-    start = Start(relaxed.theta, high) if high <= tolerance.enough else None
-    found = attempt.run(budget, start)
-    low = min(max(low, found.lower_bound), found.upper_bound)
-    yield attempt, replace(found, lower_bound=low)
+    Its pose is the end of a single local search.
+    """
+    problem, tolerance, began = attempt.problem, attempt.problem.tolerance, budget.elapsed()
+    candidates = problem.candidates
+    if tolerance.target is None or candidates is None or problem.keep_leaves:
+        return None
+    if np.count_nonzero(candidates) > MAX_FEASIBLE:
+        return None
+    lower_bound = tolerance.cutoff(np.inf)
+    if not refutes(
+        problem.source, problem.target, candidates, problem.n_inliers, problem.scale_range,
+        lower_bound, budget.sub_budget(REFUTING_SHARE),
+    ):  # fmt: skip
+        return None
+    theta, value, spent = attempt.space.seeds()[0], np.inf, 0
+    with suppress(Interrupted):
+        theta, value, spent = attempt.space.refine(theta)
+    now = budget.elapsed()
+    event = Event("end", FEASIBLE, now, 0, spent, 0, lower_bound, value, Status.REFUTED.value)
+    budget.report(event)
+    return Outcome(Status.REFUTED, theta, lower_bound, value, 0, spent, now - began, events=[event])
 
 
 def recover_pose(

@@ -25,7 +25,7 @@ from dcreg.driver.downsample import (
 from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
-from dcreg.driver.warm_up import warm_up_matches, warm_up_mode, warm_up_region
+from dcreg.driver.warm_up import warm_up_mode, warm_up_region
 from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, START_BOXES
@@ -143,8 +143,6 @@ class Setup:
                 warm_up_mode(chosen, bound, *_special(each))
             if largest.pose_range is not None:
                 warm_up_region(chosen)
-            if has_max_rms and largest.candidates is not None and chosen.relaxation is not None:
-                warm_up_matches()
         frame = Frame.of(largest)
         time_s = time.perf_counter() - began
         return cls(problems, searched, frame, chosen, limits, options, time_s)

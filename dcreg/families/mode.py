@@ -39,9 +39,6 @@ class Mode:
     make_cover : callable, optional
         From ``(space, threads)`` to the `Cover` that confines a long search; called only where one is
         needed.
-    relaxation : callable, optional
-        Like `dcreg.families.matches.relaxation.search_relaxation`: decides by the feasible pairs alone
-        whether a pose may have an objective up to a value.
     own_bound : str
         Name of the bound if the user does not choose one.
     rotation : callable, optional
@@ -68,7 +65,6 @@ class Mode:
     needs: tuple[str, ...] = ()
     make_bound: Callable[..., Bound] | None = None
     make_cover: Callable[..., Cover] | None = None
-    relaxation: Callable[..., Outcome] | None = None
     own_bound: str = DEFAULT_BOUND
     rotation: RotationSearch | None = None
     rotation_scope: str = ""

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 
 from dcreg.families.matches.kernels.bounds import rotation_bounds
@@ -87,9 +84,9 @@ class MatchBound:
         pose, value = descend(self._problem, theta.reshape(3, 4))
         return pose.ravel(), value, 0
 
-    def search(self, budget: Budget, start: Sequence[Any], stage: str = "rotation") -> Outcome:
+    def search(self, budget: Budget, start: tuple[np.ndarray, float]) -> Outcome:
         """Certify the pose `start`, or find a better one."""
         return branch_and_bound(
             self, budget, branching=LongestEdge(self.axis_weights), tolerance=self._tolerance,
-            refine=self.refine, start=start, stage=stage,
+            refine=self.refine, start=start, stage="rotation",
         )  # fmt: skip

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.space import Rigid3D
-from dcreg.search import Outcome
 
 if TYPE_CHECKING:
     from dcreg.families.rigid3d.cover import CongruentCover
@@ -18,13 +17,6 @@ def make_cover(space: Rigid3D, threads: int = 1) -> CongruentCover:
     from dcreg.families.rigid3d.cover import CongruentCover
 
     return CongruentCover(space, threads)
-
-
-def relaxation(*problem: Any, **settings: Any) -> Outcome:
-    """Search the relaxation of a problem with feasible pairs."""
-    from dcreg.families.matches.relaxation import search_relaxation
-
-    return search_relaxation(*problem, **settings)
 
 
 def in_region() -> tuple[Any, Any]:
@@ -39,7 +31,6 @@ MODE = Mode(
     Rigid3D.between,
     make_bound=RigidBound,
     make_cover=make_cover,
-    relaxation=relaxation,
     own_bound="rigid",
     certifies="rigid3d",
     in_region=in_region,
