@@ -49,7 +49,7 @@ CERTIFIED_PAIRS = 160_000
 # Share of the time for the translation search; the rotation search follows.
 TRANSLATION_SHARE = 0.8
 # The stage that compares distances within feasible pairs, and the number of them up to which it does.
-FEASIBLE, MAX_FEASIBLE = "feasible pairs", 2000
+FEASIBLE, MAX_FEASIBLE = "feasible pairs", 1000
 REFUTING_SHARE = 0.5  # of the time, at most
 ALL_POSES = "all poses"  # the stage of a search that a range of poses does not limit
 

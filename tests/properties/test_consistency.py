@@ -81,22 +81,37 @@ def scattered(n_true, dim, n=40, several=3):
     return x, y, mask
 
 
-@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
-@pytest.mark.parametrize("n_true", [0, 10, 20])
-def test_a_registration_is_refuted_before_its_search(model, n_true):
+SETTINGS = (
+    {"model": "rigid3d"},
+    {"model": "rigid3d", "pose_range": dcreg.PoseRange(max_angle=20.0)},
+    {"model": "similarity2d", "scale_range": (0.9, 1.1)},
+    {"model": "similarity3d", "scale_range": (0.9, 1.1)},
+)
+
+
+def registered(n_true, model, **settings):
     x, y, mask = scattered(n_true, 2 if model == "similarity2d" else 3)
-    found = dcreg.register(
-        x, y, n_inliers=20, model=model, candidates=mask, max_rms=0.02, time_limit=10,
-        scale_range=(1.0, 1.0),
-    )  # fmt: skip
-    if n_true == 20:
-        assert found.reason == "a pose within max_rms was found"
-        return
+    return dcreg.register(
+        x, y, n_inliers=20, model=model, candidates=mask, max_rms=0.02, time_limit=10, **settings
+    )
+
+
+@pytest.mark.parametrize("settings", SETTINGS)
+def test_a_registration_is_refuted_before_its_search(settings):
+    found = registered(8, **settings)
     assert found.status == "refuted"
     assert [stage.name for stage in found.stages] == [FEASIBLE, "polish"]
     assert found.lower_bound == pytest.approx(20 * 0.02**2)
     assert found.objective > found.lower_bound > 20 * 0.02**2
     assert [event.status for event in found.trace] == ["refuted"]
+    pose_range = settings.get("pose_range")
+    if pose_range is not None:
+        checked = pose_range.checked(scattered(8, 3)[0], (1.0, 1.0))
+        assert checked.contains(found.T_target_source)
+
+
+def test_a_registration_that_meets_the_residual_is_not_refuted():
+    assert registered(20, model="rigid3d").reason == "a pose within max_rms was found"
 
 
 def test_pairs_are_consistent_for_some_admissible_scale():

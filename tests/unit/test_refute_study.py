@@ -15,6 +15,7 @@ def random_keypoints(monkeypatch):
         return study.Keypoints(rng.uniform(0.0, 2.5, size), rng.standard_normal(size))
 
     monkeypatch.setattr(study, "keypoints", keypoints)
+    monkeypatch.setattr(study, "N_POINTS", 50)
 
 
 def test_planted_questions_are_met_and_none_is_refuted(random_keypoints):
