@@ -77,9 +77,9 @@ class Stage:
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid``, ``triples``, ``distances``, ``polish``, ``pairs``, ``all
-        points``; in sweeps also ``local searches``; in `dcreg.register_matches` ``start`` and
-        ``rotation``.
+        ``search``, ``rotation``, ``rigid``, ``triples``, ``distances``, ``feasible pairs``, ``polish``,
+        ``pairs``, ``all points``; in sweeps also ``local searches``; in `dcreg.register_matches`
+        ``start`` and ``rotation``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from dcreg.assignment.objective import AT_ONCE_PAIRS
+from dcreg.driver.feasible import FEASIBLE, refuted_at_once
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.families.mode import Mode, load_mode
 from dcreg.families.registry import bound_parts, make_bound
@@ -316,6 +317,9 @@ def attempts(
         A known pose of the range. By default, it is searched for.
     """
     problem, region = attempt.problem, attempt.problem.region
+    if refuted := refuted_at_once(attempt.space, problem, budget):
+        yield replace(attempt, mode=replace(attempt.mode, stage=FEASIBLE)), refuted
+        return
     if region is None or not region.has_limits:
         yield attempt, attempt.run(budget, start)
         return
