@@ -19,7 +19,7 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.interrupts import SIGNALS
-from dcreg.cli.numbers import parse_count
+from dcreg.cli.numbers import parse_count_or_auto
 from dcreg.cli.options import Search
 from dcreg.cli.pair import Row, Task, columns, edge_of, failed
 from dcreg.cli.workers import solve_all
@@ -40,14 +40,14 @@ class Batch:
         Table with the columns ``source``, ``target`` and, if wanted, ``n_inliers``; files are relative to
         its folder.
     search : Search
-    n_inliers : str, optional
+    n_inliers : str
         For pairs of which the table gives none.
     drop_invalid : bool
     """
 
     pairs: Path
     search: Search
-    n_inliers: str | None
+    n_inliers: str
     drop_invalid: bool
 
     def run(self, out: Path, graph: Path | None, jobs: int, quiet: bool) -> int:
@@ -123,13 +123,12 @@ class Batch:
     def _checked(self, row: Mapping[str, str | None], line: int) -> Row:
         """Return source, target and number of pairs of a line."""
         found = {name: (row.get(name) or "").strip() for name in ("source", "target", "n_inliers")}
-        found["n_inliers"] = found["n_inliers"] or self.n_inliers or ""
+        found["n_inliers"] = found["n_inliers"] or self.n_inliers
         for name, value in found.items():
             if not value:
-                more = " or give --n-inliers" if name == "n_inliers" else ""
-                raise dcreg.InputError(f"{self.pairs}: line {line} has no {name}; add it{more}")
+                raise dcreg.InputError(f"{self.pairs}: line {line} has no {name}; add it")
         try:
-            parse_count(found["n_inliers"])
+            parse_count_or_auto(found["n_inliers"])
         except dcreg.InputError as error:
             raise dcreg.InputError(f"{self.pairs}: line {line}: {error}") from None
         return found

@@ -11,8 +11,8 @@ import typer
 
 import dcreg
 from dcreg.cli import output
-from dcreg.cli.app import app, command, required_count, run_search
-from dcreg.cli.numbers import parse_counts
+from dcreg.cli.app import app, command, run_search
+from dcreg.cli.numbers import parse_count_or_auto, parse_counts
 from dcreg.cli.options import (
     CloudFiles,
     MatchSearch,
@@ -21,7 +21,7 @@ from dcreg.cli.options import (
     Quiet,
     Search,
 )
-from dcreg.names import FIGURE_PACKAGES
+from dcreg.names import AUTO, FIGURE_PACKAGES
 
 if TYPE_CHECKING:
     import numpy as np
@@ -68,7 +68,7 @@ def _finish(
 def register(
     *,
     clouds: CloudFiles,
-    n_inliers: str | None = None,
+    n_inliers: str = AUTO,
     search: Search,
     poses: Poses,
     max_rms: float | None = None,
@@ -96,7 +96,7 @@ def register(
     """
     paths = {**outputs.paths, "--certificate": certificate_path}
     outputs.check(paths, *clouds.names.values(), search.candidates_path)
-    count = required_count(n_inliers)
+    count = parse_count_or_auto(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
     options["certificate"] = certificate_path is not None
@@ -132,7 +132,7 @@ def register_matches(
 def sweep(
     *,
     clouds: CloudFiles,
-    n_inliers: str,
+    n_inliers: str = "0.2:1.0:0.1",
     search: Search,
     out_path: Path | None = None,
     plot_path: Path | None = None,
@@ -186,7 +186,7 @@ def batch(
     *,
     pairs: Path,
     out_path: Path,
-    n_inliers: str | None = None,
+    n_inliers: str = AUTO,
     search: Search,
     drop_invalid: bool = False,
     graph_path: Path | None = None,
@@ -208,7 +208,7 @@ def batch(
     out_path : OUT.csv
         Write a row for each pair: status, pose, bounds or error. It is written whole after each pair.
     n_inliers : K
-        Pairs to match, as for `dcreg register`, where the table gives no number.
+        Pairs to match where the table gives no number, as for `dcreg register`.
     drop_invalid : switch
         Drop points with NaN or infinity.
     graph_path : OUT.g2o

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import dcreg
-from dcreg.cli.numbers import parse_count
+from dcreg.cli.numbers import parse_count_or_auto
 from dcreg.cli.options import CloudFiles, Search, flag
 from dcreg.names import MODEL_DIM
 
@@ -76,7 +76,7 @@ def _solved(task: Task) -> Row:
     clouds = CloudFiles(task.source, task.target, drop_invalid=task.drop_invalid)
     points = clouds.read(task.search.model)
     keywords, options = task.search.settings(clouds)
-    keywords["n_inliers"] = parse_count(task.n_inliers)
+    keywords["n_inliers"] = parse_count_or_auto(task.n_inliers)
     result = dcreg.register(*points, **keywords, options=dcreg.SolveOptions(**options))
     return {
         "status": result.status.value,
