@@ -60,14 +60,22 @@ def register_problem(
     """Solve one problem by a mode of the table, or by `mode`; see `dcreg.register`."""
     setup = Setup.of([problem], limits, options, mode)
     with setup.budget() as budget:
-        searching = budget
-        if setup.is_sampled:
-            searching = budget.isolated_sub_budget(share_of_search(problem, budget.left()))
-        normalised = setup.normalised(0, searching)
-        solution = run_mode(setup.mode, normalised)
-        solution.events = budget.history
-        result = Finish(setup, 0, normalised, budget, searching).result(solution)
-        return replace(result, time_solve_s=budget.elapsed())
+        return solve(setup, 0, budget)
+
+
+def solve(setup: Setup, at: int, budget: Budget, init: np.ndarray | None = None) -> Result:
+    """Solve ``setup.problems[at]``; `init` is the initial guess instead of that of the options."""
+    searching = budget
+    if setup.is_sampled:
+        share = share_of_search(setup.problems[at], budget.left())
+        searching = budget.isolated_sub_budget(share)
+    normalised = setup.normalised(at, searching)
+    if init is not None:
+        normalised = replace(normalised, init=setup.frame.normalised_pose(init))
+    solution = run_mode(setup.mode, normalised)
+    solution.events = budget.history
+    result = Finish(setup, at, normalised, budget, searching).result(solution)
+    return replace(result, time_solve_s=budget.elapsed())
 
 
 @dataclass(frozen=True)
