@@ -181,6 +181,11 @@ questions: dev
 exact: dev
 	@$(BIN)/python -m tests.exact --count $(or $(COUNT),1000)
 
+## refute: ask whether 3DMatch fragments can match, 40 of different scenes and 1,000 with a known pose (ARGS="--limit 1")
+.PHONY: refute
+refute: setup
+	@$(BIN)/python -m workflows.studies.refute results/refute --planted 1000 $(ARGS)
+
 ## bad-input: try every kind of bad input and count tracebacks, hangs and unclear messages (expected: 0)
 .PHONY: bad-input
 bad-input: dev

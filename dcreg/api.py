@@ -9,7 +9,7 @@ import numpy as np
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import register_problem
 from dcreg.driver.sweep import sweep_problems
-from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, SCORES
+from dcreg.names import AUTO, DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, SCORES, SWEEP_SHARES
 from dcreg.problem import Candidates, InputError, PointWeights, PoseRange, Problem
 from dcreg.result import Result
 from dcreg.sweep_result import SweepResult
@@ -19,7 +19,7 @@ def register(
     source: np.ndarray,
     target: np.ndarray,
     *,
-    n_inliers: int | float,
+    n_inliers: int | float | str = AUTO,
     model: str,
     scale_range: tuple[float, float] | None = None,
     candidates: Candidates | None = None,
@@ -46,8 +46,10 @@ def register(
     ----------
     source, target : (n, d), (m, d) arrays
         d = 2 for ``similarity2d``, 3 for ``rigid3d`` and ``similarity3d``. In any unit of length.
-    n_inliers : int or float
-        Number of pairs; a float in (0, 1] is a fraction of ``min(n, m)``.
+    n_inliers : int, float or "auto"
+        Number of pairs; a float in (0, 1] is a fraction of ``min(n, m)``. By default, the library chooses
+        it by the residuals of poses found for several numbers; `Result.chosen_number` has the evidence.
+        The choice is not proven: the bounds refer to the chosen number.
     model : {"similarity2d", "rigid3d", "similarity3d"}
     scale_range : (low, high), optional
         Admissible scale of a similarity; default (0.5, 1.5). Equal numbers fix the scale: ``(1, 1)``
@@ -107,17 +109,28 @@ def register(
     >>> result.status.value, np.round(result.translation, 6).tolist()
     ('optimal', [3.0, 3.0])
     """
-    problem = Problem(
-        source, target, n_inliers, model, scale_range, candidates, pose_range, weights
-    )
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb, max_rms)
-    return register_problem(problem, limits, SolveOptions.of(options))
+    rest = model, scale_range, candidates, pose_range
+    if not isinstance(n_inliers, str):
+        problem = Problem(source, target, n_inliers, *rest, weights)
+        return register_problem(problem, limits, SolveOptions.of(options))
+    if n_inliers != AUTO:
+        raise InputError(
+            f"n_inliers: {n_inliers!r} is not a number; give a count, a fraction or {AUTO!r}"
+        )
+    if weights is not None:
+        raise InputError(
+            "n_inliers: weights need a number of pairs; give the one that a search without them chooses"
+        )
+    from dcreg.driver.auto import register_auto  # a known number does without it
+
+    return register_auto(Problem(source, target, 1, *rest), limits, SolveOptions.of(options))
 
 
 def sweep(
     source: np.ndarray,
     target: np.ndarray,
-    n_inliers: Sequence[int | float],
+    n_inliers: Sequence[int | float] = SWEEP_SHARES,
     *,
     model: str,
     scale_range: tuple[float, float] | None = None,
@@ -142,7 +155,7 @@ def sweep(
     source, target : (n, d), (m, d) arrays
     n_inliers : sequence of int or float
         Numbers of pairs, in any order; repetitions are ignored. Floats in (0, 1] are fractions of
-        ``min(n, m)``.
+        ``min(n, m)``. Default: 0.2 to 1.0 in steps of 0.1.
     model, scale_range, candidates, pose_range
         As in `dcreg.register`.
     rel_gap, abs_gap : optional

@@ -25,7 +25,10 @@ DEFAULT_RATIO = 1.5
 NO_PROOF_EXPECTED = "proof not expected soon"
 MAX_RMS_MET = "a pose within max_rms was found"
 
-AUTO = "auto"  # the library chooses the mode
+AUTO = "auto"  # the library chooses: the mode, or the number of pairs
+
+# Numbers of pairs of a sweep by default, as shares of the smaller cloud.
+SWEEP_SHARES = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 
 BOUND_NAMES = ("tight", "shared", "dc", "interval")
 DEFAULT_BOUND = "tight"

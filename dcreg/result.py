@@ -16,7 +16,15 @@ from dcreg.certificate.format import write as write_certificate
 from dcreg.files import as_json, plain, write_text
 from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED
 from dcreg.problem import InputError, OpenDirection, rotation_angle_deg, scale_of
-from dcreg.result_parts import RunnerUp, Sample, Score, Stage, Trace
+from dcreg.result_parts import (
+    ChosenNumber,
+    MemoryEstimate,
+    RunnerUp,
+    Sample,
+    Score,
+    Stage,
+    Trace,
+)
 from dcreg.search import proven_share
 from dcreg.status import Status
 
@@ -40,6 +48,8 @@ class Result:
     assignment : (n_inliers, 2) int array
         Matched pairs (source row, target row) at `T_target_source`.
     n_inliers : int
+    chosen_number : ChosenNumber, optional
+        The evidence for `n_inliers`, if the library chose it.
     lower_bound, upper_bound : float
         Bounds on the optimum of the certified objective (see `certificate_scope`), in squared
         units of the target. The objective is a sum over the `n_inliers` pairs.
@@ -85,6 +95,8 @@ class Result:
     open_directions : list of OpenDirection
         Motions along which the clouds slide on each other, such as those of a plane. The pairs then fit
         as well, so the covariance does not show them. Needs at least 200 target points.
+    memory_estimate : MemoryEstimate, optional
+        The memory that the solve was expected to need.
     warnings : list of str
         Possible problems with the result, and what to do about them.
     """
@@ -115,8 +127,10 @@ class Result:
     score: Score | None = None
     runner_up: RunnerUp | None = None
     max_rms: float | None = None
+    chosen_number: ChosenNumber | None = None
     covariance: np.ndarray | None = None
     open_directions: list[OpenDirection] = field(default_factory=list)
+    memory_estimate: MemoryEstimate | None = None
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -192,10 +206,12 @@ class Result:
         """Return plain values for JSON; an infinite bound becomes None. The manual lists all keys."""
         names = (
             "status", "reason", "T_target_source", "T_certified", "scale", "model", "n_inliers",
-            "bound", "mode", "lower_bound", "upper_bound", "gap", "gap_tol", "bound_ratio", "is_exact",
+            "chosen_number", "bound", "mode", "lower_bound", "upper_bound", "gap", "gap_tol",
+            "bound_ratio", "is_exact",
             "objective", "objective_certified", "n_nodes", "n_assignments", "time_setup_s",
             "time_solve_s", "certificate_scope", "rmse_matched", "max_rms", "assignment", "downsampled",
-            "score", "runner_up", "covariance", "open_directions", "warnings",
+            "score", "runner_up", "covariance", "open_directions", "memory_estimate",
+            "warnings",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "stages": [stage.to_dict() for stage in self.stages]})
@@ -244,6 +260,11 @@ class Result:
         yield "scale", f"{self.scale:.6g}"
         yield "rotation", f"{self.rotation_deg:.4f} deg"
         yield "RMSE of pairs", f"{self.rmse_matched:.6g} over {text.count(self.n_inliers, 'pair')}"
+        if self.chosen_number is not None:
+            yield (
+                "number of pairs",
+                f"{self.n_inliers}, chosen by the library; {self.chosen_number}",
+            )
         if self.score is not None:
             yield (
                 "score",

@@ -14,6 +14,8 @@ from dcreg.files import as_json, plain, write_text
 from dcreg.search import Confined, Event, Outcome, proven_share
 from dcreg.status import Status
 
+_SHOWN = 10  # numbers of pairs in a summary
+
 
 @dataclass
 class Trace:
@@ -45,15 +47,41 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class MemoryEstimate:
+    """The memory that a solve was expected to need, estimated before it began.
+
+    Attributes
+    ----------
+    peak_mb : float
+        Peak memory of the process, without what grows with the length of the search: the values that a
+        bounding function stores about boxes, and the open boxes.
+    stored_mb : float
+        Maximum size of these values.
+    box_bytes : int
+        Size of an open box.
+    """
+
+    peak_mb: float
+    stored_mb: float
+    box_bytes: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.peak_mb:,.0f} MB; a long search needs up to {self.stored_mb:,.0f} MB more, and "
+            f"{text.count(self.box_bytes, 'byte')} for each open box"
+        )
+
+
+@dataclass(frozen=True)
 class Stage:
     """Bounds, work and time of one stage of a solve.
 
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid``, ``triples``, ``distances``, ``polish``, ``pairs``, ``all
-        points``; in sweeps also ``local searches``; in `dcreg.register_matches` ``start`` and
-        ``rotation``.
+        ``search``, ``rotation``, ``rigid``, ``triples``, ``distances``, ``feasible pairs``, ``polish``,
+        ``pairs``, ``all points``; in sweeps also ``local searches``; in `dcreg.register_matches`
+        ``start`` and ``rotation``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional
@@ -173,6 +201,49 @@ class Score(NamedTuple):
 
     reached: float
     upper_bound: float
+
+
+class ComparedNumber(NamedTuple):
+    """A number of pairs that was compared with others.
+
+    Attributes
+    ----------
+    n_inliers : int
+    rms : float
+        RMS residual of the cheapest pairs at the pose, in units of the target; with more than 40,000
+        point pairs that of source points to their nearest target points.
+    """
+
+    n_inliers: int
+    rms: float
+
+
+@dataclass(frozen=True)
+class ChosenNumber:
+    """The evidence for the number of pairs that the library chose: not proven.
+
+    Attributes
+    ----------
+    compared : list of ComparedNumber
+        In ascending order, all at the pose that gave the chosen number. Empty if there was no time to
+        compare.
+    low, high : int
+        The numbers from `low` to `high` fit nearly as well.
+    rival : int, optional
+        This number of pairs fits nearly as well at a clearly different pose.
+    """
+
+    compared: list[ComparedNumber]
+    low: int
+    high: int
+    rival: int | None = None
+
+    def __str__(self) -> str:
+        if not self.compared:
+            return "not compared with others"
+        step = -(-len(self.compared) // _SHOWN)
+        shown = ", ".join(f"{k}: {rms:.3g}" for k, rms in self.compared[::-step][::-1])
+        return f"{self.low} to {self.high} fit nearly as well\nRMS residuals of numbers of pairs: {shown}"
 
 
 @dataclass(frozen=True)

@@ -131,10 +131,11 @@ class Loader(RecordedDataset):
     def files(self, shape: str, test: str, level: float, trial: int) -> list[Path]:
         """Return the fragment files of source and target, and the list with the pose."""
         pair = self.pairs[shape, test, level, trial]
-        fragments = [self._fetch_fragment(shape, int(pair[side])) for side in ("src_j", "ref_i")]
+        fragments = [self.fetch_fragment(shape, int(pair[side])) for side in ("src_j", "ref_i")]
         return [*fragments, fetch(self.card.file(f"3dmatch/meta/{pair['set']}.pkl"))]
 
-    def _fetch_fragment(self, scene: str, number: int) -> Path:
+    def fetch_fragment(self, scene: str, number: int) -> Path:
+        """Return the file that holds a fragment: the pack of its scene, or the original."""
         row = next(
             row
             for row in read_csv("fragments.csv")

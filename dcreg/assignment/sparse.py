@@ -240,6 +240,19 @@ def _greedy(columns: np.ndarray, costs: np.ndarray, m: int, k: int) -> np.ndarra
     return greedy_matching(order // width, columns.ravel()[order], n, m, k)
 
 
+def greedy_count(points: np.ndarray, tree: cKDTree, reach: float) -> int:
+    """Return the number of one-to-one pairs with target points within `reach`, nearest first."""
+    width = min(_GREEDY_NEIGHBOURS, tree.n)
+    distances, columns = tree.query(
+        points, k=np.arange(1, width + 1), distance_upper_bound=np.nextafter(reach, np.inf),
+        workers=_workers(points),
+    )  # fmt: skip
+    rows, ranks = np.nonzero(distances <= reach)
+    order = np.argsort(distances[rows, ranks], kind="stable")
+    pairs = rows[order], columns[rows, ranks][order]
+    return int((greedy_matching(*pairs, len(points), tree.n, len(points)) >= 0).sum())
+
+
 def _own_costs(
     columns: np.ndarray, costs: np.ndarray, col_of: np.ndarray, penalty: float
 ) -> np.ndarray:

@@ -20,7 +20,7 @@ import dcreg
 from dcreg.cli import output
 from dcreg.cli.files import BatchFiles
 from dcreg.cli.interrupts import SIGNALS
-from dcreg.cli.numbers import parse_count
+from dcreg.cli.numbers import parse_count_or_auto
 from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Row, Task, columns, edge_of, failed
 from dcreg.cli.workers import solve_all
@@ -42,7 +42,7 @@ class Batch:
         its folder.
     search : Search
     poses : Poses
-    n_inliers : str, optional
+    n_inliers : str
         For pairs of which the table gives none.
     drop_invalid : bool
     """
@@ -50,7 +50,7 @@ class Batch:
     pairs: Path
     search: Search
     poses: Poses
-    n_inliers: str | None
+    n_inliers: str
     drop_invalid: bool
 
     def run(self, files: BatchFiles, jobs: int, quiet: bool) -> int:
@@ -123,13 +123,12 @@ class Batch:
     def _checked(self, row: Mapping[str, str | None], line: int) -> Row:
         """Return source, target and number of pairs of a line."""
         found = {name: (row.get(name) or "").strip() for name in ("source", "target", "n_inliers")}
-        found["n_inliers"] = found["n_inliers"] or self.n_inliers or ""
+        found["n_inliers"] = found["n_inliers"] or self.n_inliers
         for name, value in found.items():
             if not value:
-                more = " or give --n-inliers" if name == "n_inliers" else ""
-                raise dcreg.InputError(f"{self.pairs}: line {line} has no {name}; add it{more}")
+                raise dcreg.InputError(f"{self.pairs}: line {line} has no {name}; add it")
         try:
-            parse_count(found["n_inliers"])
+            parse_count_or_auto(found["n_inliers"])
         except dcreg.InputError as error:
             raise dcreg.InputError(f"{self.pairs}: line {line}: {error}") from None
         return found

@@ -11,12 +11,12 @@ import typer
 
 import dcreg
 from dcreg.cli import output
-from dcreg.cli.app import app, command, required_count, run_search
+from dcreg.cli.app import app, command, run_search
 from dcreg.cli.files import BatchFiles, Outputs, SearchFiles
-from dcreg.cli.numbers import parse_counts
+from dcreg.cli.numbers import parse_count_or_auto, parse_counts
 from dcreg.cli.options import CloudFiles, Goal, MatchSearch, Poses, Quiet, Search
 from dcreg.cli.weights import WeightFiles
-from dcreg.names import FIGURE_PACKAGES
+from dcreg.names import AUTO, FIGURE_PACKAGES
 
 if TYPE_CHECKING:
     import numpy as np
@@ -82,7 +82,7 @@ def register(
     paths = {**outputs.paths, **files.paths}
     weight_paths = weights.source_weights_path, weights.target_weights_path
     outputs.check(paths, *clouds.names.values(), search.candidates_path, poses.init, *weight_paths)
-    count = required_count(goal.n_inliers)
+    count = parse_count_or_auto(goal.n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
     keywords["weights"] = weights.settings(clouds)
@@ -120,7 +120,7 @@ def register_matches(
 def sweep(
     *,
     clouds: CloudFiles,
-    n_inliers: str,
+    n_inliers: str = "0.2:1.0:0.1",
     search: Search,
     poses: Poses,
     out_path: Path | None = None,
@@ -175,7 +175,7 @@ def sweep(
 def batch(
     *,
     pairs: Path,
-    n_inliers: str | None = None,
+    n_inliers: str = AUTO,
     search: Search,
     poses: Poses,
     drop_invalid: bool = False,
@@ -196,7 +196,7 @@ def batch(
     pairs : PAIRS.csv
         Table with the columns source and target, files relative to its folder, and optionally n_inliers.
     n_inliers : K
-        Pairs to match, as for `dcreg register`, where the table gives no number.
+        Pairs to match where the table gives no number, as for `dcreg register`.
     drop_invalid : switch
         Drop points with NaN or infinity.
     jobs : N

@@ -7,6 +7,7 @@ import math
 import typer
 
 import dcreg
+from dcreg.names import AUTO
 
 MAX_CARDINALITIES = 1000  # of one range of a sweep
 
@@ -26,6 +27,11 @@ def whole_number(text: str) -> int:
         return int(text)
     except ValueError:
         raise typer.BadParameter(f"'{text}' is not a whole number; give one such as 4") from None
+
+
+def parse_count_or_auto(text: str) -> int | float | str:
+    """Return `--n-inliers` of a registration: a number as in `parse_count`, or ``auto``."""
+    return AUTO if text == AUTO else parse_count(text)
 
 
 def parse_count(text: str) -> int | float:

@@ -173,12 +173,13 @@ class Goal:
     ----------
     n_inliers : K
         Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
-        a fraction: '1' is one pair, '1.0' is all pairs. Required; `dcreg sweep` helps to choose it.
+        a fraction: '1' is one pair, '1.0' is all pairs. By default, the number is chosen by evidence that
+        the result states.
     max_rms : D
         Only decide whether a pose matches K pairs with at most this RMS residual.
     """
 
-    n_inliers: str | None = None
+    n_inliers: str = AUTO
     max_rms: float | None = None
 
 

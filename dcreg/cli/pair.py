@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import dcreg
-from dcreg.cli.numbers import parse_count
+from dcreg.cli.numbers import parse_count_or_auto
 from dcreg.cli.options import CloudFiles, Poses, Search, flag
 from dcreg.names import MODEL_DIM
 
@@ -78,7 +78,7 @@ def _solved(task: Task) -> Row:
     clouds = CloudFiles(task.source, task.target, drop_invalid=task.drop_invalid)
     points = clouds.read(task.search.model)
     keywords, options = task.search.settings(clouds)
-    keywords["n_inliers"] = parse_count(task.n_inliers)
+    keywords["n_inliers"] = parse_count_or_auto(task.n_inliers)
     keywords["pose_range"], options["init"] = task.poses.settings()
     result = dcreg.register(*points, **keywords, options=dcreg.SolveOptions(**options))
     return {

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from dcreg.assignment.objective import AT_ONCE_PAIRS
+from dcreg.driver.feasible import FEASIBLE, refuted_at_once
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.families.mode import Mode, load_mode
 from dcreg.families.registry import bound_parts, make_bound
@@ -121,7 +122,7 @@ def check_mode(
     if problem.weights is not None:
         _check_weights(mode, problem, {"certificate": certificate, "max_rms": has_max_rms})
     n, m = len(problem.source), len(problem.target)
-    if n * m > MAX_PAIRS and not _is_matrix_free(mode, problem, bound):
+    if n * m > MAX_PAIRS and not is_matrix_free(mode, problem, bound):
         remedy = "downsample both clouds first (downsample=200, or --downsample 200)"
         if problem.model == "rigid3d":
             remedy += f", or use mode 'paper' with bound {DEFAULT_BOUND!r} and without candidates"
@@ -161,7 +162,8 @@ def _has_paper(model: str) -> bool:
     return "paper" in mode_names(model)
 
 
-def _is_matrix_free(mode: Mode, problem: Problem, bound: str | None) -> bool:
+def is_matrix_free(mode: Mode, problem: Problem, bound: str | None) -> bool:
+    """Tell whether the search needs no matrix of costs."""
     return (
         mode.in_norm_space
         and mode.make_bound is None
@@ -315,6 +317,9 @@ def attempts(
         A known pose of the range. By default, it is searched for.
     """
     problem, region = attempt.problem, attempt.problem.region
+    if refuted := refuted_at_once(attempt.space, problem, budget):
+        yield replace(attempt, mode=replace(attempt.mode, stage=FEASIBLE)), refuted
+        return
     if region is None or not region.has_limits:
         yield attempt, attempt.run(budget, start)
         return

@@ -66,7 +66,8 @@ class SolveOptions:
         A file in which `dcreg.register` saves the state of its search every two minutes and at its end.
         If the file exists, the search continues from it; the problem and the options that change the
         search must be the same. The time limit counts from now on, `node_limit` and
-        `assignment_limit` count all the work. Mode ``paper`` in 3D and limited `pose_range` have none.
+        `assignment_limit` count all the work. Not for mode ``paper`` in 3D, nor for a `PoseRange` with
+        a maximum angle or translation.
     listener : callable, optional
         Called with every `dcreg.Event`. If none occurs for a quarter of a second, it is called with an
         event of kind ``heartbeat`` from another thread. If it returns True, the solve stops with status

@@ -22,6 +22,7 @@ from dcreg.driver.downsample import (
     share_of_search,
     to_search,
 )
+from dcreg.driver.memory import advance_notice, check_memory, estimated_memory
 from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
@@ -40,6 +41,7 @@ from dcreg.problem import (
 )
 from dcreg.problem.geometry import exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
+from dcreg.result_parts import MemoryEstimate
 from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget, Event, Listener
 from dcreg.status import Status
@@ -58,14 +60,22 @@ def register_problem(
     """Solve one problem by a mode of the table, or by `mode`; see `dcreg.register`."""
     setup = Setup.of([problem], limits, options, mode)
     with setup.budget() as budget:
-        searching = budget
-        if setup.is_sampled:
-            searching = budget.isolated_sub_budget(share_of_search(problem, budget.left()))
-        normalised = setup.normalised(0, searching)
-        solution = run_mode(setup.mode, normalised)
-        solution.events = budget.history
-        result = Finish(setup, 0, normalised, budget, searching).result(solution)
-        return replace(result, time_solve_s=budget.elapsed())
+        return solve(setup, 0, budget)
+
+
+def solve(setup: Setup, at: int, budget: Budget, init: np.ndarray | None = None) -> Result:
+    """Solve ``setup.problems[at]``; `init` is the initial guess instead of that of the options."""
+    searching = budget
+    if setup.is_sampled:
+        share = share_of_search(setup.problems[at], budget.left())
+        searching = budget.isolated_sub_budget(share)
+    normalised = setup.normalised(at, searching)
+    if init is not None:
+        normalised = replace(normalised, init=setup.frame.normalised_pose(init))
+    solution = run_mode(setup.mode, normalised)
+    solution.events = budget.history
+    result = Finish(setup, at, normalised, budget, searching).result(solution)
+    return replace(result, time_solve_s=budget.elapsed())
 
 
 @dataclass(frozen=True)
@@ -85,6 +95,7 @@ class Setup:
     options : SolveOptions
     time_s : float
         Seconds that the decisions took, compilation included.
+    memory : MemoryEstimate
     checkpoint : CheckpointFile, optional
         ``options.checkpoint``, opened.
     """
@@ -96,6 +107,7 @@ class Setup:
     limits: Limits
     options: SolveOptions
     time_s: float
+    memory: MemoryEstimate
     checkpoint: CheckpointFile | None = None
 
     @classmethod
@@ -142,6 +154,10 @@ class Setup:
         chosen = mode or find_mode(largest.model, name)
         check_mode(chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms)
         limits.check(largest.n_inliers)
+        memory = estimated_memory(problems[-1], largest, chosen, bound)
+        check_memory(memory, problems[-1])
+        if notice := advance_notice(memory, problems[-1], limits.time_s):
+            _LOGGER.info(notice)
         checkpoint = None
         if options.checkpoint is not None:
             from dcreg.driver.checkpoint import open_checkpoint  # few searches need it
@@ -156,7 +172,7 @@ class Setup:
                 warm_up_region(chosen)
         frame = Frame.of(largest)
         time_s = time.perf_counter() - began
-        return cls(problems, searched, frame, chosen, limits, options, time_s, checkpoint)
+        return cls(problems, searched, frame, chosen, limits, options, time_s, memory, checkpoint)
 
     @property
     def is_sampled(self) -> bool:
@@ -286,7 +302,7 @@ class Finish:
             status=solution.status, model=problem.model, mode=mode.name,
             bound=normalised.bound, T_target_source=T, T_certified=solution.T, assignment=pairs,
             n_inliers=problem.n_inliers, lower_bound=solution.lower_bound, upper_bound=upper_bound,
-            max_rms=self.setup.limits.max_rms,
+            max_rms=self.setup.limits.max_rms, memory_estimate=self.setup.memory,
             gap_tol=tolerance.allowed(upper_bound), is_exact=tolerance.is_exact(upper_bound),
             certificate_scope=solution.scope + ", weighted points" * (problem.weights is not None),
             objective=final, objective_certified=before[0],

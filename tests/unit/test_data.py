@@ -428,7 +428,7 @@ def test_fragment_pack_and_original_give_the_same_points(number, serve, monkeypa
     row["sha256"] = hashlib.sha256(raw.read_bytes()).hexdigest()
     monkeypatch.setattr(threedmatch, "read_csv", lambda name: [row])
     clouds = dataset("threedmatch")
-    packed = threedmatch.fragment(clouds._fetch_fragment(scene, number), number)
+    packed = threedmatch.fragment(clouds.fetch_fragment(scene, number), number)
 
     web = tmp_path / "web" / scene
     web.mkdir(parents=True)
@@ -437,7 +437,7 @@ def test_fragment_pack_and_original_give_the_same_points(number, serve, monkeypa
     monkeypatch.delenv("DCREG_DATA_MIRROR")
     monkeypatch.setenv("DCREG_DATA_CACHE", str(tmp_path / "second"))
     official = with_originals(threedmatch.Loader, "threedmatch", address)
-    path = official._fetch_fragment(scene, number)
+    path = official.fetch_fragment(scene, number)
     assert path.suffix == ".pth"
     assert len(asked) == 1
     np.testing.assert_array_equal(threedmatch.fragment(path, number), packed)

@@ -106,6 +106,7 @@ SWAPS = 400  # exchanges between groups that are tried, per source point
 CELLS = 96  # of the grid of distances, along the longest side
 _PADDING = 0.3  # margin of the grid around the target, in RMS radii of the target
 MANY_PAIRS = 500_000  # point pairs above which the triples of one group take too long
+TARGET_PAIRS = 4_000_000  # ordered pairs of target points, whose distances take about 70 bytes each
 _MARGIN = 1e-9  # relative; covers rounding
 _ROUNDING = 1e-6  # rounding error of a distance in single precision
 _SLICE, _SINGLE = 8, 16  # source triples per slice; number of slices of one triple at the start
@@ -234,9 +235,10 @@ class CongruentCover:
 
     @property
     def applies(self) -> bool:
-        """Whether translations vary and the number of point pairs is in the useful range."""
+        """Whether translations vary and the numbers of pairs are in the useful ranges."""
         box = self._space.translations()
         is_long = FEW_PAIRS < self._space.n_pairs <= MANY_PAIRS
+        is_long = is_long and self._space.n_target**2 <= TARGET_PAIRS
         return is_long and bool((box.lower < box.upper).any())
 
     @property

@@ -1,0 +1,351 @@
+"""Choose the number of pairs where none is given, then solve with it.
+
+At the right pose the residuals of true pairs are noise; those of further pairs are as large as the
+spacing of the points. The *fractional* RMSE, the RMS residual of the cheapest k pairs divided by a power
+of k, therefore has its minimum near the number of true pairs (after Phillips, Liu and Tomasi 2007).
+
+The pose is not known either, but a part of the true pairs suffices to find it. So local searches for few
+numbers (`PROBES`) give poses. From each pose, its best number and the best pose for this number
+alternate. The pose with the minimum fractional RMSE gives the number. It is also the initial guess of the
+search that follows, which is that of `dcreg.register` with this number. No step of the choice is proven.
+
+The residuals are those of one-to-one pairs, or, for many points, the distances of source points to their
+nearest target points.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from operator import itemgetter
+from typing import Any
+
+import numpy as np
+
+from dcreg.assignment.objective import objective
+from dcreg.assignment.sparse import greedy_count, tree_of
+from dcreg.driver.modes import space_of
+from dcreg.driver.options import Limits, SolveOptions
+from dcreg.driver.solve import Setup, solve
+from dcreg.problem import (
+    InputError,
+    Moments,
+    Problem,
+    apply_pose,
+    exact_objective,
+    largest_matching,
+)
+from dcreg.result import Result
+from dcreg.result_parts import ChosenNumber, ComparedNumber, Stage
+from dcreg.runner_up import DISTINCT
+from dcreg.search import Budget, Event, Interrupted
+
+# Powers of the fractional RMSE. At a pose, the minimum is where the residuals of further pairs begin to
+# exceed sqrt(1 + 2 * power) times the RMS of the others: 2.6 times for pairs as in a sweep, and twice for
+# neighbours, because scans of different parts drift apart slowly. Between poses the smaller power
+# decides; with the larger one, clutter that fits badly wins by its number.
+POWER_OF_PAIRS, POWER_OF_NEIGHBOURS, POWER_OF_POSES = 3.0, 1.5, 1.5
+# Shares of the largest possible number of pairs: those with local searches (one for many points, of which
+# a search takes longer), and those that are compared.
+PROBES, PROBES_OF_MANY = (0.45, 0.3), (0.45,)
+LEAST, STEP = 0.1, 0.1
+MANY_PAIRS = 40_000  # point pairs from which nearest distances replace one-to-one pairs
+MAX_NUMBERS = 400  # among which the choice is made
+MAX_POSES = 3  # of a probe that are followed
+APART = 0.1  # RMS displacement of the source from which poses differ, in RMS radii of the target
+MAX_ROUNDS = 8  # of the alternation
+MAX_POINTS = 2000  # source points whose nearest distances are compared
+TIME_SHARE = 0.4  # of the time limit
+NEARLY = 1.1  # fractional RMSE of what fits nearly as well, divided by the minimum
+UNCERTAIN = (
+    1.5  # ratio of the largest to the smallest such number from which the choice is uncertain
+)
+STAGE = "n_inliers"
+_REMEDY = "Give n_inliers if you know it, or look at the curves of `dcreg sweep`"
+
+
+def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Result:
+    """Choose the number of pairs and solve, see `dcreg.register`; that of `problem` does not matter."""
+    if limits.max_rms is not None:
+        raise InputError(
+            "n_inliers: max_rms needs a number of pairs; give one, or use max_inliers (`dcreg "
+            "max-inliers`) for the largest one within a distance"
+        )
+    if options.checkpoint is not None:
+        raise InputError(
+            "n_inliers: checkpoint needs a number of pairs; give the one that a search without it chooses"
+        )
+    setup = Setup.of(_problems(problem), limits, options)
+    if setup.mode.in_norm_space:
+        raise InputError(
+            f"n_inliers: 'auto' needs a search over poses, but mode {setup.mode.name!r} searches norms; "
+            "give a number, or use mode 'full' without bound and certificate"
+        )
+    is_many = setup.is_sampled or len(problem.source) * len(problem.target) > MANY_PAIRS
+    kind = _ByNeighbours if is_many and problem.candidates is None else _ByPairs
+    with setup.budget() as budget:
+        choice = kind(setup, budget.isolated_sub_budget(TIME_SHARE).silent())
+        at, chosen, pose = choice.run()
+        chosen_s = budget.elapsed()
+        result = solve(setup, at, budget, init=pose)
+        stage = Stage(STAGE, chosen_s, n_assignments=choice.n_assignments)
+        return replace(
+            result,
+            chosen_number=chosen,
+            stages=[stage, *result.stages],
+            n_assignments=result.n_assignments + choice.n_assignments,
+            warnings=[
+                *doubts(result.n_inliers, chosen, setup.problems[0].n_inliers),
+                *result.warnings,
+            ],
+        )
+
+
+def _problems(problem: Problem) -> list[Problem]:
+    """Return the problem for all numbers among which the choice is made, in ascending order."""
+    most = min(len(problem.source), len(problem.target))
+    if problem.candidates is not None:
+        most = int((largest_matching(problem.candidates) >= 0).sum())
+    least = min(most, max(problem.dim, round(LEAST * most)))
+    numbers = np.unique(np.linspace(least, most, MAX_NUMBERS).round().astype(int))
+    largest = problem.with_n_inliers(most)
+    return [largest.with_n_inliers(int(k)) for k in numbers]
+
+
+def doubts(n_inliers: int, chosen: ChosenNumber, least: int) -> Iterator[str]:
+    """Yield a warning where the evidence for a number of pairs is weak."""
+    if not chosen.compared:
+        yield (
+            f"the time limit was hit before numbers of pairs could be compared, so n_inliers={n_inliers} "
+            f"is a guess. {_REMEDY}"
+        )
+    elif n_inliers == least:
+        yield f"n_inliers={n_inliers} is the smallest number that was compared. {_REMEDY}"
+    elif chosen.high > UNCERTAIN * chosen.low:
+        yield (
+            f"n_inliers={n_inliers} is uncertain: from {chosen.low} to {chosen.high} pairs, the "
+            f"residuals do not increase sharply. {_REMEDY}"
+        )
+    if chosen.rival is not None:
+        yield (
+            f"n_inliers={n_inliers} is uncertain: at another pose, {chosen.rival} pairs fit nearly as "
+            f"well. {_REMEDY}"
+        )
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A pose and the numbers that are compared at it.
+
+    Attributes
+    ----------
+    pose : (d+1, d+1) array
+    numbers : (G,) array
+        In ascending order, all of what is compared: pairs, or source points with a neighbour.
+    rms : (G,) array
+        RMS residuals, in units of the target.
+    fractional : (G,) array
+        Fractional RMSE of each number.
+    value : float
+        By which poses are compared; the smallest one is the best.
+    """
+
+    pose: np.ndarray
+    numbers: np.ndarray
+    rms: np.ndarray
+    fractional: np.ndarray
+
+    value: float
+
+    @classmethod
+    def of(
+        cls, pose: np.ndarray, numbers: np.ndarray, rms: np.ndarray, rounding: float, power: float
+    ) -> _Fit:
+        """Return the fit of these residuals; below `rounding`, all are equally good."""
+        least = np.maximum(rms, rounding)
+        value = float((least / numbers**POWER_OF_POSES).min())
+        return cls(pose, numbers, rms, least / numbers**power, value)
+
+    @property
+    def best(self) -> int:
+        return int(self.fractional.argmin())
+
+
+class _Choice(abc.ABC):
+    """The search for the number of pairs; all poses are those of the input.
+
+    Attributes
+    ----------
+    n_assignments : int
+    """
+
+    probes: Sequence[float]
+
+    def __init__(self, setup: Setup, budget: Budget) -> None:
+        self.setup, self.budget, self.problem = setup, budget, setup.problems[-1]
+        clouds = self.problem.source, self.problem.target
+        most = self.problem.n_inliers
+        self.rounding = float(np.sqrt(exact_objective(*clouds, most) / most))
+        self.numbers = np.array([problem.n_inliers for problem in setup.problems])
+        self.n_assignments = 0
+
+    def nearest(self, shares: Sequence[float] | np.ndarray) -> np.ndarray:
+        """Return the indices of the numbers nearest to shares of the largest one."""
+        wanted = self.numbers[-1] * np.asarray(shares)
+        return np.unique(np.abs(self.numbers - wanted[:, None]).argmin(axis=1))
+
+    def run(self) -> tuple[int, ChosenNumber, np.ndarray | None]:
+        """Return the index of the number among the problems, the evidence for it, and its pose."""
+        self.budget.report(Event("heartbeat", STAGE, self.budget.elapsed(), 0, 0, 0, 0.0, np.inf))
+        fits: list[_Fit] = []
+        with suppress(Interrupted):
+            for pose in self._poses():
+                fits.append(self._followed(pose))
+        if not fits:
+            at = int(self.nearest([0.5])[0])
+            return at, ChosenNumber([], int(self.numbers[0]), int(self.numbers[-1])), None
+        fit = min(fits, key=lambda each: each.value)
+        wanted, share = self.number(fit)
+        at = int(np.abs(self.numbers - wanted).argmin())
+        chosen = int(self.numbers[at])
+        compared = [
+            ComparedNumber(min(int(self.numbers[-1]), round(share * number)), float(rms))
+            for number, rms in zip(fit.numbers.tolist(), fit.rms, strict=True)
+        ]
+        near = np.flatnonzero(fit.fractional <= NEARLY * fit.fractional.min())
+        low, high = compared[near[0]].n_inliers, compared[near[-1]].n_inliers
+        rival = self._rival(fit, fits)
+        return at, ChosenNumber(compared, min(chosen, low), max(chosen, high), rival), fit.pose
+
+    def _rival(self, fit: _Fit, fits: Sequence[_Fit]) -> int | None:
+        """Return the number of pairs of a clearly different pose that is nearly as good, or None."""
+        moments, distinct = Moments.of(self.problem.source), DISTINCT * self.setup.frame.unit
+        others = [each for each in fits if moments.displacement(each.pose, fit.pose) > distinct]
+        other = min(others, key=lambda each: each.value, default=None)
+        if other is None or other.value > NEARLY * max(fit.value, np.finfo(float).tiny):
+            return None
+        return min(int(self.numbers[-1]), round(self.number(other)[0]))
+
+    def _poses(self) -> Iterator[np.ndarray]:
+        """Yield poses to be followed: the initial guess, and the ends of local searches."""
+        setup = self.setup
+        if setup.options.init is not None:
+            yield setup.options.init
+        moments, apart = Moments.of(self.problem.source), APART * setup.frame.unit
+        probes = self.nearest(self.probes)[::-1].tolist()
+        for n_left, at in zip(range(len(probes), 0, -1), probes, strict=True):
+            if self.budget.is_over:
+                return
+            normalised = setup.normalised(at, self.budget)
+            space = space_of(setup.mode, normalised)
+            part = self.budget.sub_budget(1.0 / n_left)
+            self.n_assignments += space.start(part, normalised.tolerance.enough)[2]
+            kept: list[np.ndarray] = []
+            for theta, _ in sorted(space.ends, key=itemgetter(1)):
+                pose = setup.frame.pose(space.pose(theta))
+                if all(moments.displacement(pose, other) > apart for other in kept):
+                    kept.append(pose)
+                    yield pose
+                if len(kept) == MAX_POSES:
+                    break
+
+    def _followed(self, pose: np.ndarray) -> _Fit:
+        """Alternate the best number at a pose and the best pose for it while the value falls."""
+        best = self.fit(pose)
+        for _ in range(MAX_ROUNDS):
+            trial = self.fit(self.refined(best))
+            if trial.fractional.min() >= best.fractional.min():
+                break
+            best = trial
+        return best
+
+    @abc.abstractmethod
+    def fit(self, pose: np.ndarray) -> _Fit:
+        """Compare the numbers at a pose."""
+
+    @abc.abstractmethod
+    def refined(self, fit: _Fit) -> np.ndarray:
+        """Return a better pose for the best number."""
+
+    @abc.abstractmethod
+    def number(self, fit: _Fit) -> tuple[float, float]:
+        """Return the number of pairs, and the number of pairs for one of the numbers compared."""
+
+
+class _ByPairs(_Choice):
+    """Compare the residuals of one-to-one pairs."""
+
+    probes = PROBES
+
+    def __init__(self, setup: Setup, budget: Budget) -> None:
+        super().__init__(setup, budget)
+        self.grid = np.unique(
+            np.append(self.nearest(np.arange(LEAST, 1.0, STEP)), [0, len(self.numbers) - 1])
+        )
+        normalised = [setup.normalised(at, budget) for at in self.grid.tolist()]
+        self.spaces: list[Any] = [space_of(setup.mode, each) for each in normalised]
+
+    def fit(self, pose: np.ndarray) -> _Fit:
+        theta = self.spaces[0].parameter(self.setup.frame.normalised_pose(pose))
+        values = np.array([space.objective(theta)[0] for space in self.spaces])
+        self.n_assignments += len(values)
+        k = self.numbers[self.grid]
+        rms = self.setup.frame.unit * np.sqrt(np.maximum(values, 0.0) / k)
+        return _Fit.of(pose, k, rms, self.rounding, POWER_OF_PAIRS)
+
+    def refined(self, fit: _Fit) -> np.ndarray:
+        frame, space = self.setup.frame, self.spaces[fit.best]
+        theta, _, spent = space.refine(space.parameter(frame.normalised_pose(fit.pose)))
+        self.n_assignments += spent
+        return frame.pose(space.pose(theta))
+
+    def number(self, fit: _Fit) -> tuple[float, float]:
+        """Return the best number between the neighbours of the best one of those compared."""
+        low, high = (
+            self.grid[max(0, fit.best - 1)],
+            self.grid[min(len(self.grid) - 1, fit.best + 1)],
+        )
+        problem, most = self.problem, int(self.numbers[high])
+        clouds = problem.source, problem.target
+        _, pairs = objective(*clouds, fit.pose, most, problem.candidates)
+        gaps = apply_pose(fit.pose, problem.source[pairs[:, 0]]) - problem.target[pairs[:, 1]]
+        k = self.numbers[low : high + 1]
+        rms = np.sqrt(np.cumsum(np.sort((gaps**2).sum(axis=1)))[k - 1] / k)
+        between = _Fit.of(fit.pose, k, rms, self.rounding, POWER_OF_PAIRS)
+        return float(k[between.best]), 1.0
+
+
+class _ByNeighbours(_Choice):
+    """Compare the distances of source points to their nearest target points."""
+
+    probes = PROBES_OF_MANY
+
+    def __init__(self, setup: Setup, budget: Budget) -> None:
+        super().__init__(setup, budget)
+        source = self.problem.source
+        rows = np.random.default_rng(0).permutation(len(source))[:MAX_POINTS]
+        self.some, self.tree = source[np.sort(rows)], tree_of(self.problem.target)
+        shares = np.arange(LEAST, 1.0 + 0.25 * STEP, 0.5 * STEP)
+        self.grid = np.unique(np.maximum(1, (shares * len(self.some)).round().astype(int)))
+
+    def fit(self, pose: np.ndarray) -> _Fit:
+        if self.budget.is_over:
+            raise Interrupted
+        squares = np.sort(self.tree.query(apply_pose(pose, self.some))[0] ** 2)
+        rms = np.sqrt(np.cumsum(squares)[self.grid - 1] / self.grid)
+        return _Fit.of(pose, self.grid, rms, self.rounding, POWER_OF_NEIGHBOURS)
+
+    def refined(self, fit: _Fit) -> np.ndarray:
+        distances, columns = self.tree.query(apply_pose(fit.pose, self.some))
+        rows = np.argsort(distances, kind="stable")[: self.grid[fit.best]]
+        return self.problem.fit(self.some[rows], self.problem.target[columns[rows]])
+
+    def number(self, fit: _Fit) -> tuple[float, float]:
+        """Return how many one-to-one pairs are as near as the best number of neighbours."""
+        distances = np.sort(self.tree.query(apply_pose(fit.pose, self.some))[0])
+        near = self.grid[fit.best]
+        moved = apply_pose(fit.pose, self.problem.source)
+        count = greedy_count(moved, self.tree, max(distances[near - 1], self.rounding))
+        return float(count), count / float(near)

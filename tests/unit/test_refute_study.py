@@ -1,0 +1,46 @@
+"""The study of refuted matches: its problems, and the summary of its answers."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from workflows.studies import refute as study
+
+
+@pytest.fixture
+def random_keypoints(monkeypatch):
+    def keypoints(scene, number):
+        rng = np.random.default_rng([len(scene), number])
+        size = (study.N_POINTS, 3)
+        return study.Keypoints(rng.uniform(0.0, 2.5, size), rng.standard_normal(size))
+
+    monkeypatch.setattr(study, "keypoints", keypoints)
+    monkeypatch.setattr(study, "N_POINTS", 50)
+
+
+def test_planted_questions_are_met_and_none_is_refuted(random_keypoints):
+    answers = [study.answer("planted", number, 5, 10.0) for number in range(10)]
+    assert {answer["status"] for answer in answers} == {"met"}
+    question = study.planted(0, 5)
+    assert question.is_met_by(question.T_known)
+    assert not question.is_met_by(np.eye(4))
+
+
+def test_different_clouds_are_refuted(random_keypoints):
+    answer = study.answer("different", 0, 5, 10.0)
+    assert answer["status"] == "refuted"
+    assert answer["rms_proven"] >= study.MAX_RMS
+
+
+def test_the_summary_counts_answers_by_kind():
+    kinds = ["different"] * 4 + ["planted"] * 2
+    status = ["refuted", "refuted", "refused", "converged", "met", "refuted"]
+    answers = pd.DataFrame({"kind": kinds, "status": status, "cpu_s": [0.5, 2.0, 0.0, 9, 0.1, 1]})
+    different, planted = study.summary(answers).to_dict("records")
+    assert (different["questions"], different["refuted 1 s"], different["refuted 10 s"]) == (
+        4,
+        2,
+        3,
+    )
+    assert (different["met"], different["open"], different["false"]) == (0, 1, 0)
+    assert (planted["questions"], planted["met"], planted["false"]) == (2, 1, 1)
