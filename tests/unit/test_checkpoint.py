@@ -23,8 +23,8 @@ from tests.results import run
 # By model: pairs that match and those that are searched, of 34 points each; noise; and numbers of boxes
 # at which the search is stopped: before the cover, in the part that proves a share (3D), after the cover.
 SEARCHES = {
-    "similarity2d": (24, 22, 0.1, (40, 300, 500)),
-    "rigid3d": (30, 30, 0.05, (40, 800, 1900, 3000)),
+    "similarity2d": (24, 22, 0.1, (40, 500)),
+    "rigid3d": (30, 30, 0.05, (40, 800, 3000)),
 }
 
 

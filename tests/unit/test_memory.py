@@ -49,9 +49,9 @@ def test_the_estimate_is_near_the_measured_peak():
     assert 1 / 1.5 < estimated / measured < 1.5
 
 
-@pytest.mark.parametrize("model", ["similarity2d", "rigid3d", "similarity3d"])
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
 def test_more_points_need_more_memory(model):
-    peaks = [estimate(n, n, model).peak_mb for n in (10, 1500, 3000, 100_000)]
+    peaks = [estimate(n, n, model).peak_mb for n in (10, 1500, 3000, 30_000)]
     # 1,500 points are matched densely; a sample of more is searched, and matched by neighbours
     assert peaks[0] < peaks[1]
     assert peaks[0] < peaks[2] < peaks[3]
