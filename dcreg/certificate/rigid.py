@@ -65,6 +65,7 @@ class RigidPoses(Objective):
     scope = "over all rigid poses"
     only_optima = True
     boxes_per_leaf = 60
+    far = 0.1
 
     def prepare(self) -> None:
         n, m, k = len(self.source), len(self.target), self.k
@@ -344,8 +345,8 @@ def _largest_mean(points: np.ndarray, count: int) -> float:
     """Return an upper bound on the norm of the mean of `count` points.
 
     It is at most the mean of the largest norms. It is the maximum over all directions of the mean of the
-    largest projections. A direction is at an
-    angle of at most ``2 asin(sqrt(1/2) / cells)`` from the centre of its cell on a face of a cube.
+    largest projections. A direction is at an angle of at most ``2 asin(sqrt(1/2) / cells)`` from the
+    centre of its cell on a face of a cube.
     """
     if count == len(points):
         return float(np.linalg.norm(points.mean(axis=0)))
