@@ -26,6 +26,8 @@ DISPLACED, LINEAR = 100.0, 16.0
 WORTH_ASSIGNMENT = 0.7  # share of the bound needed from which the pairs of caps are assigned
 MAX_CELLS = 1 << 16  # costs held at once
 BITS = (np.arange(8)[:, None] >> np.arange(3)) & 1
+# For each facet, which coordinates of the quaternions are at their upper end at the 8 vertices.
+ENDS = np.array([np.insert(BITS, axis, 0, axis=1) for axis in range(4)], dtype=bool)
 
 
 class Boxes(NamedTuple):
@@ -203,11 +205,8 @@ class RigidPoses(Objective):
         """Express B boxes relative to their centres."""
         centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)[:, 4:]
         q = centre[:, None, :4]
-        wide = np.argsort(lower[:, :4] - upper[:, :4], axis=1)[:, None, :3]
-        low, high = (np.take_along_axis(ends[:, None, :4], wide, axis=2) for ends in (lower, upper))
-        vertices = np.repeat(q, 8, axis=1)
-        wide = np.repeat(wide, 8, axis=1)
-        np.put_along_axis(vertices, wide, np.where(BITS, high, low), axis=2)
+        facet = np.argmin((upper - lower)[:, :4], axis=1)
+        vertices = np.where(ENDS[facet], upper[:, None, :4], lower[:, None, :4])
         # vertex times the conjugate of the centre
         real = (vertices * q).sum(axis=2, keepdims=True)
         vector = q[..., :1] * vertices[..., 1:] - vertices[..., :1] * q[..., 1:]
@@ -232,8 +231,7 @@ class RigidPoses(Objective):
         b = (boxes.fixed**2).sum(axis=2)[:, None]
         inner = boxes.moved @ boxes.fixed.swapaxes(1, 2)
         length = np.sqrt(a) * np.sqrt(b)
-        near = length * length
-        near *= 1.0 + 1e-14
+        near = (a * (1.0 + 1e-14)) * b
         cost = inner * inner
         near -= cost
         np.maximum(near, 0.0, out=near)
@@ -246,7 +244,8 @@ class RigidPoses(Objective):
         np.add(a, b, out=cost)
         cost += near
         np.maximum(cost, 0.0, out=cost)
-        cost += self.penalty
+        if self.feasible is not None:
+            cost += self.penalty
         return cost
 
     @staticmethod
