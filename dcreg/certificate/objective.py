@@ -60,6 +60,9 @@ class Objective(abc.ABC):
         Whether the bounds of leaves hold for the optima in them, not for every parameter.
     boxes_per_leaf : int
         Typical maximum number of boxes per leaf that a proof needs.
+    far : float
+        Share of the bound needed. A box with a smaller bound is divided twice, because its halves are
+        unlikely to be proven.
     rounding : float
         Rounding error of the bounds, if coordinates are larger than the normalised ones.
     """
@@ -71,6 +74,7 @@ class Objective(abc.ABC):
     n_at_once = 64
     only_optima = False
     boxes_per_leaf = 20
+    far = 0.0
     rounding = 0.0
 
     def __init__(

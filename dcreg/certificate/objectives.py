@@ -12,9 +12,9 @@ from dcreg.certificate.rigid import RigidPoses
 class Similarity2D(Objective):
     """theta = (a, b, u, v) moves x, as a complex number, to ``(a + ib) x + (u + iv)``."""
 
-    scope = "over all similarity poses of the stated scales"
-
     def prepare(self) -> None:
+        low, high = map(float, self.scale_range)
+        self.scope = f"over all similarity poses with scales from {low!r} to {high!r}"
         self.z = self.source[:, 0] + 1j * self.source[:, 1]
         spread = np.sqrt((self.source**2).sum(axis=1).mean())
         self.weights = np.array([spread, spread, 1.0, 1.0])

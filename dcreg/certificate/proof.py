@@ -11,6 +11,7 @@ from dcreg.certificate.format import INADMISSIBLE, Certificate, CertificateError
 from dcreg.certificate.objective import Objective
 
 TANGENT_STEPS = 10  # attempts to find a better tangent point
+REFUTE_EVERY = 3  # bisections between two attempts to refute a bound that is not proven
 # Coordinates are equal if they differ by less than this fraction of the start box, or of the clouds if
 # those are smaller.
 SAME = 1e-12
@@ -194,29 +195,40 @@ class Proof:
         needed = lower_bound - self.slack
         # leaves whose stated bound exceeds the one to be proven
         doubtful = c.leaf_bounds > lower_bound + self.slack
-        n_boxes = 0
+        n_boxes = depth = 0
         while len(leaves):
             if n_boxes + len(leaves) > self.max_boxes:
                 raise UnprovenError(
                     f"leaf {leaves[0]}: the lower bound {lower_bound * c.unit**2:.9g} could not be "
                     f"confirmed within {self.max_boxes} boxes"
                 )
-            is_unproven = np.zeros(len(leaves), dtype=bool)
+            bounds = np.empty(len(leaves))
             size = self.objective.n_at_once
             for at in range(0, len(leaves), size):
                 part = slice(at, at + size)
                 outside = self.objective.outside(lower[part], upper[part])
                 self._check_inadmissible(leaves[part][~outside], c)
-                is_unproven[part] = self._unproven(lower[part], upper[part], outside, needed)
-                suspect = at + np.flatnonzero((is_unproven | doubtful)[part] & ~outside)
-                self._refute(lower[suspect], upper[suspect], leaves[suspect], c)
+                bounds[part] = self._bound(lower[part], upper[part], outside, needed)
+                if depth % REFUTE_EVERY == 0:
+                    is_suspect = (bounds[part] < needed) | (doubtful[part] & ~outside)
+                    suspect = at + np.flatnonzero(is_suspect)
+                    self._refute(lower[suspect], upper[suspect], leaves[suspect], c)
                 if self.progress is not None:
                     done = n_boxes + min(at + size, len(leaves))
-                    self.progress(done, n_boxes + len(leaves) + 2 * int(is_unproven.sum()))
+                    unproven = 2 * int((bounds[: at + size] < needed).sum())
+                    self.progress(done, n_boxes + len(leaves) + unproven)
             n_boxes += len(leaves)
             self.n_boxes += len(leaves)
-            leaves = np.repeat(leaves[is_unproven], 2)
-            lower, upper = self._halves(lower[is_unproven], upper[is_unproven])
+            depth += 1
+            left = np.flatnonzero(bounds < needed)
+            far = np.repeat(bounds[left] < self.objective.far * needed, 2)
+            leaves, lower, upper = self._halves(leaves[left], lower[left], upper[left])
+            if far.any():
+                parts = self._halves(leaves[far], lower[far], upper[far])
+                leaves, lower, upper = (
+                    np.concatenate([each[~far], part])
+                    for each, part in zip((leaves, lower, upper), parts, strict=True)
+                )
             doubtful = np.zeros(len(leaves), dtype=bool)  # each leaf is checked once
 
     @staticmethod
@@ -228,17 +240,18 @@ class Proof:
                 f"leaf {stuck[0]} is stated to contain no admissible parameter, but may contain one"
             )
 
-    def _unproven(
+    def _bound(
         self, lower: np.ndarray, upper: np.ndarray, outside: np.ndarray, needed: float
     ) -> np.ndarray:
-        """Return a mask of the boxes whose lower bound does not reach `needed`, by cheap bounds first."""
+        """Return the lower bounds of boxes up to about `needed`, by cheap bounds first."""
         # a sum of squares is never negative
-        unproven = np.flatnonzero(~outside) if needed > 0 else np.empty(0, np.int64)
+        bounds = np.where(outside | (needed <= 0.0), np.inf, 0.0)
         for bound in self._bounds:
+            unproven = np.flatnonzero(bounds < needed)
             if unproven.size:
                 found = bound(lower[unproven], upper[unproven], needed)
-                unproven = unproven[~(found >= needed)]  # NaN proves nothing
-        return np.isin(np.arange(len(lower)), unproven)
+                bounds[unproven] = np.fmax(bounds[unproven], found)  # NaN proves nothing
+        return bounds
 
     def _refute(
         self, lower: np.ndarray, upper: np.ndarray, leaves: np.ndarray, c: Certificate
@@ -315,15 +328,17 @@ class Proof:
                 break
         return best, best_terms, best_base
 
-    def _halves(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Bisect each box along the edge that moves the source most."""
+    def _halves(
+        self, leaves: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bisect each box along the edge that moves the source most; its leaf goes with both parts."""
         axis = np.argmax((upper - lower) * self.objective.weights, axis=1)
         lower, upper = np.repeat(lower, 2, axis=0), np.repeat(upper, 2, axis=0)
         rows = np.arange(len(axis))
         centre = 0.5 * (lower[2 * rows, axis] + upper[2 * rows, axis])
         upper[2 * rows, axis] = centre
         lower[2 * rows + 1, axis] = centre
-        return lower, upper
+        return np.repeat(leaves, 2), lower, upper
 
 
 def _vertices(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

@@ -26,6 +26,8 @@ DISPLACED, LINEAR = 100.0, 16.0
 WORTH_ASSIGNMENT = 0.7  # share of the bound needed from which the pairs of caps are assigned
 MAX_CELLS = 1 << 16  # costs held at once
 BITS = (np.arange(8)[:, None] >> np.arange(3)) & 1
+# For each facet, which coordinates of the quaternions are at their upper end at the 8 vertices.
+ENDS = np.array([np.insert(BITS, axis, 0, axis=1) for axis in range(4)], dtype=bool)
 
 
 class Boxes(NamedTuple):
@@ -65,6 +67,7 @@ class RigidPoses(Objective):
     scope = "over all rigid poses"
     only_optima = True
     boxes_per_leaf = 60
+    far = 0.1
 
     def prepare(self) -> None:
         n, m, k = len(self.source), len(self.target), self.k
@@ -202,11 +205,8 @@ class RigidPoses(Objective):
         """Express B boxes relative to their centres."""
         centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)[:, 4:]
         q = centre[:, None, :4]
-        wide = np.argsort(lower[:, :4] - upper[:, :4], axis=1)[:, None, :3]
-        low, high = (np.take_along_axis(ends[:, None, :4], wide, axis=2) for ends in (lower, upper))
-        vertices = np.repeat(q, 8, axis=1)
-        wide = np.repeat(wide, 8, axis=1)
-        np.put_along_axis(vertices, wide, np.where(BITS, high, low), axis=2)
+        facet = np.argmin((upper - lower)[:, :4], axis=1)
+        vertices = np.where(ENDS[facet], upper[:, None, :4], lower[:, None, :4])
         # vertex times the conjugate of the centre
         real = (vertices * q).sum(axis=2, keepdims=True)
         vector = q[..., :1] * vertices[..., 1:] - vertices[..., :1] * q[..., 1:]
@@ -231,8 +231,7 @@ class RigidPoses(Objective):
         b = (boxes.fixed**2).sum(axis=2)[:, None]
         inner = boxes.moved @ boxes.fixed.swapaxes(1, 2)
         length = np.sqrt(a) * np.sqrt(b)
-        near = length * length
-        near *= 1.0 + 1e-14
+        near = (a * (1.0 + 1e-14)) * b
         cost = inner * inner
         near -= cost
         np.maximum(near, 0.0, out=near)
@@ -245,7 +244,8 @@ class RigidPoses(Objective):
         np.add(a, b, out=cost)
         cost += near
         np.maximum(cost, 0.0, out=cost)
-        cost += self.penalty
+        if self.feasible is not None:
+            cost += self.penalty
         return cost
 
     @staticmethod
@@ -344,8 +344,8 @@ def _largest_mean(points: np.ndarray, count: int) -> float:
     """Return an upper bound on the norm of the mean of `count` points.
 
     It is at most the mean of the largest norms. It is the maximum over all directions of the mean of the
-    largest projections. A direction is at an
-    angle of at most ``2 asin(sqrt(1/2) / cells)`` from the centre of its cell on a face of a cube.
+    largest projections. A direction is at an angle of at most ``2 asin(sqrt(1/2) / cells)`` from the
+    centre of its cell on a face of a cube.
     """
     if count == len(points):
         return float(np.linalg.norm(points.mean(axis=0)))

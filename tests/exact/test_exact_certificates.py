@@ -68,6 +68,7 @@ def test_the_report_states_what_is_proven_exactly(case):
     area = Fraction(certificate.unit) ** 2
     assert Fraction(report.lower_bound) <= Fraction(certificate.lower_bound) * area
     assert report.upper_bound == pytest.approx(certificate.upper_bound * float(area), rel=1e-12)
+    assert "with scales from 0.3 to 0.36: " in report.statement
     low, high = map(Decimal, report.statement.partition(" lies exactly in [")[2][:-1].split(", "))
     assert Fraction(low) <= Fraction(certificate.lower_bound) * area
     assert low < high
