@@ -63,7 +63,8 @@ class Result:
     certificate_scope : str
         What the bounds refer to: ``"similarity pose"``, ``"translation in norm space"``, ...
     objective : float
-        Sum of squared residuals of the `n_inliers` matched pairs at `T_target_source`.
+        Sum of squared residuals of the `n_inliers` matched pairs at `T_target_source`; with weights of
+        points, the sum of the costs of `PointWeights`.
     objective_certified : float
         The same sum at `T_certified`, before the polish.
     n_nodes, n_assignments : int

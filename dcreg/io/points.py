@@ -98,7 +98,7 @@ def _loaded(path: Path, key: str | None, readers: dict[str, Reader]) -> Points:
     """Return what a file holds, by the reader of its extension."""
     suffix = path.suffix.lower()
     if path.is_dir():
-        fail("is a folder", "give the path of a file")
+        fail("is a folder", "give the path of a point file")
     if suffix not in readers:
         fail(f"unknown extension '{path.suffix}'", f"use one of: {' '.join(readers)}")
     if key is not None and suffix not in KEYED_SUFFIXES:

@@ -119,6 +119,12 @@ feasible matchings do not change, so the minimum over all matchings is no more t
 feasible ones, and the bounds hold for any constant. E itself must use no infeasible pair, so the
 constant exceeds k squared residuals at any pose of the start box
 (`dcreg.families.pairs.infeasibility_penalty`).
+
+Weighted points
+---------------
+Weights w_ij <= 1 multiply the cost of each pair, with the addition above. Stationary means sum p w e = 0
+and sum p w x' x e = 0, and all inequalities hold with p w in place of p. Displacements and norms are
+multiplied by the maximum weight of their row. See "Weighted points" in ``docs/bounds.md``.
 """
 
 from __future__ import annotations
