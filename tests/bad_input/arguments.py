@@ -118,7 +118,11 @@ USAGE = {
     "no source and target": (["register"], "Missing argument 'SOURCE'", HELP),
     "no target": (["register", "a2.txt"], "Missing argument 'TARGET'", HELP),
     "no model": (register(model=None), "Missing option '--model'", HELP),
-    "number by max_rms": (register("--max-rms", "1", n_inliers=None), "--n-inliers: max_rms", "give one"),
+    "number by max_rms": (
+        register("--max-rms", "1", n_inliers=None),
+        "--n-inliers: max_rms",
+        "give one",
+    ),
     "unknown option": (register("--modl", "x"), "No such option: --modl", "--model"),
     "unknown command": (["regster"], "No such command 'regster'", HELP),
     "one argument more": (register("c.txt"), "unexpected extra argument(s) (c.txt)", HELP),
