@@ -54,8 +54,8 @@ class Stage:
     ----------
     name : str
         ``n_inliers`` (the choice of the number of pairs), ``search``, ``rotation``, ``rigid``,
-        ``triples``, ``distances``, ``polish``, ``pairs``, ``all points``; in sweeps also ``local searches``; in `dcreg.register_matches` ``start`` and
-        ``rotation``.
+        ``triples``, ``distances``, ``polish``, ``pairs``, ``all points``; in sweeps also ``local
+        searches``; in `dcreg.register_matches` ``start`` and ``rotation``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional
