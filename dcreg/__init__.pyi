@@ -17,7 +17,7 @@ from .problem import Candidates, InputError, OpenDirection, PointWeights, PoseRa
 from .questions.alternatives import Alternative, Alternatives, alternatives
 from .questions.certify import Certified, certify
 from .questions.inliers import MaxInliers, max_inliers
-from .result import Result, RunnerUp, Stage, Trace
+from .result import ChosenNumber, Result, RunnerUp, Stage, Trace
 from .search import Event, Listener
 from .status import Status
 from .sweep_result import SweepResult
@@ -30,6 +30,7 @@ __all__ = [
     "Candidates",
     "Certificate",
     "Certified",
+    "ChosenNumber",
     "Event",
     "InputError",
     "Listener",

@@ -79,9 +79,9 @@ class Stage:
     Attributes
     ----------
     name : str
-        ``search``, ``rotation``, ``rigid``, ``triples``, ``distances``, ``feasible pairs``, ``polish``,
-        ``pairs``, ``all points``; in sweeps also ``local searches``; in `dcreg.register_matches`
-        ``start`` and ``rotation``.
+        ``n_inliers`` (the choice of the number of pairs), ``search``, ``rotation``, ``rigid``,
+        ``triples``, ``distances``, ``feasible pairs``, ``polish``, ``pairs``, ``all points``; in sweeps
+        also ``local searches``; in `dcreg.register_matches` ``start`` and ``rotation``.
     time_s : float
     n_nodes, n_assignments : int
     status : Status, optional

@@ -26,9 +26,11 @@ import numpy as np
 
 from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import greedy_count, tree_of
-from dcreg.driver.modes import space_of
+from dcreg.driver.modes import choose_mode, find_mode, space_of
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Setup, solve
+from dcreg.families.mode import Mode
+from dcreg.names import AUTO
 from dcreg.problem import (
     InputError,
     Moments,
@@ -53,6 +55,7 @@ PROBES, PROBES_OF_MANY = (0.45, 0.3), (0.45,)
 LEAST, STEP = 0.1, 0.1
 MANY_PAIRS = 40_000  # point pairs from which nearest distances replace one-to-one pairs
 MAX_NUMBERS = 400  # among which the choice is made
+MAX_BETWEEN = 40  # numbers tried between the neighbours of the best one
 MAX_POSES = 3  # of a probe that are followed
 APART = 0.1  # RMS displacement of the source from which poses differ, in RMS radii of the target
 MAX_ROUNDS = 8  # of the alternation
@@ -77,12 +80,13 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
         raise InputError(
             "n_inliers: checkpoint needs a number of pairs; give the one that a search without it chooses"
         )
+    name = None if options.mode == AUTO else options.mode
+    if options.bound is not None or options.certificate:
+        name = name or choose_mode(problem, options.bound, options.certificate)
+    if name is not None:  # before kernels are compiled
+        _check(find_mode(problem.model, name))
     setup = Setup.of(_problems(problem), limits, options)
-    if setup.mode.in_norm_space:
-        raise InputError(
-            f"n_inliers: 'auto' needs a search over poses, but mode {setup.mode.name!r} searches norms; "
-            "give a number, or use mode 'full' without bound and certificate"
-        )
+    _check(setup.mode)
     is_many = setup.is_sampled or len(problem.source) * len(problem.target) > MANY_PAIRS
     kind = _ByNeighbours if is_many and problem.candidates is None else _ByPairs
     with setup.budget() as budget:
@@ -100,6 +104,16 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
                 *doubts(result.n_inliers, chosen, setup.problems[0].n_inliers),
                 *result.warnings,
             ],
+        )
+
+
+def _check(mode: Mode) -> None:
+    """Refuse a mode that knows no poses."""
+    if mode.in_norm_space:
+        raise InputError(
+            f"n_inliers: 'auto' needs a search over poses, but mode {mode.name!r} searches norms; give a "
+            "number, or use mode 'full' with clouds of at most 4,000,000 point pairs, and omit bound and "
+            "certificate"
         )
 
 
@@ -307,12 +321,13 @@ class _ByPairs(_Choice):
             self.grid[max(0, fit.best - 1)],
             self.grid[min(len(self.grid) - 1, fit.best + 1)],
         )
-        problem, most = self.problem, int(self.numbers[high])
+        rows = np.unique(np.linspace(low, high, MAX_BETWEEN).round().astype(int))
+        problem, k = self.problem, self.numbers[rows]
         clouds = problem.source, problem.target
-        _, pairs = objective(*clouds, fit.pose, most, problem.candidates)
-        gaps = apply_pose(fit.pose, problem.source[pairs[:, 0]]) - problem.target[pairs[:, 1]]
-        k = self.numbers[low : high + 1]
-        rms = np.sqrt(np.cumsum(np.sort((gaps**2).sum(axis=1)))[k - 1] / k)
+        # the cheapest pairs of a larger optimal matching are not those of a smaller one
+        values = [objective(*clouds, fit.pose, int(n), problem.candidates)[0] for n in k]
+        self.n_assignments += len(values)
+        rms = np.sqrt(np.maximum(values, 0.0) / k)
         between = _Fit.of(fit.pose, k, rms, self.rounding, POWER_OF_PAIRS)
         return float(k[between.best]), 1.0
 

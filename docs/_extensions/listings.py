@@ -64,6 +64,7 @@ def questions() -> str:
     asked = {
         "`register`, `sweep`, `candidates`": lambda mode: True,
         "`certify`, `init`, `max_rms`, `max_inliers`": lambda mode: not mode.in_norm_space,
+        "a number of pairs chosen by the library": lambda mode: not mode.in_norm_space,
         "`alternatives`, `max_angle`, `max_translation`": lambda mode: bool(mode.in_region),
         "`axis`": lambda mode: bool(mode.in_region) and mode.model != "similarity2d",
         "certificate file": lambda mode: bool(mode.certifies),

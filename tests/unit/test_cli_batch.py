@@ -320,12 +320,6 @@ def test_a_bad_table_is_refused(table, solved, text, words):
     assert not solved
 
 
-def test_a_number_of_pairs_is_needed(table, solved):
-    outcome = run("batch", table, "--out", table.parents[1] / "o.csv", "--model", "rigid3d")
-    assert outcome.exit_code == 2
-    assert "line 2 has no n_inliers; add it or give --n-inliers" in outcome.stderr
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -1,0 +1,135 @@
+"""The number of pairs that the library chooses: right on planted problems, with evidence."""
+
+import json
+
+import numpy as np
+import pytest
+
+import dcreg
+from dcreg.assignment.sparse import greedy_count, tree_of
+from dcreg.cli.options import Search
+from dcreg.cli.pair import Task, solve
+from dcreg.driver import auto
+from dcreg.problem import InputError
+from dcreg.status import Status
+from tests.results import run
+from tests.unit.test_sweeping import flat, solid
+
+CLOUDS = {"similarity2d": flat(noise=0.01), "rigid3d": solid(noise=0.02)}
+
+
+@pytest.fixture(scope="module", params=CLOUDS)
+def found(request):
+    return dcreg.register(*CLOUDS[request.param], model=request.param, node_limit=1)
+
+
+def test_the_planted_number_is_chosen(found):
+    k = found.n_inliers
+    assert 19 <= k <= 20
+    known = dcreg.register(*CLOUDS[found.model], model=found.model, n_inliers=k, node_limit=1)
+    assert found.objective <= known.objective * (1.0 + 1e-6)
+    assert found.chosen_number.rival is None
+    assert not [line for line in found.warnings if line.startswith("n_inliers")]
+
+
+def test_the_evidence_is_that_of_the_cheapest_pairs(found):
+    compared = found.chosen_number.compared
+    numbers, rms = zip(*compared, strict=True)
+    assert list(numbers) == sorted(set(numbers))
+    assert (np.diff(rms) >= 0.0).all()  # the mean of the k cheapest pairs does not decrease with k
+    source, target = CLOUDS[found.model]
+    value, _ = dcreg.objective(source, target, found.T_target_source, 24)
+    assert compared[-1].n_inliers == 24
+    assert rms[-1] == pytest.approx(np.sqrt(value / 24), rel=0.05)
+    assert found.chosen_number.low <= found.n_inliers <= found.chosen_number.high
+
+
+def test_the_evidence_is_in_text_and_json(found):
+    assert f"number of pairs  {found.n_inliers}, chosen by the library" in str(found)
+    content = json.loads(found.to_json())
+    evidence = content["chosen_number"]
+    assert evidence["compared"][-1]["n_inliers"] == 24
+    assert {"low", "high", "rival"} < set(evidence)
+    assert content["stages"][0]["stage"] == auto.STAGE
+
+
+def test_all_pairs_of_a_copy_are_matched():
+    points = np.random.default_rng(0).random((30, 2))
+    result = dcreg.register(points, points + 3.0, model="similarity2d")
+    assert (result.n_inliers, result.status) == (30, Status.OPTIMAL)
+
+
+def test_many_points_are_compared_by_their_neighbours(monkeypatch):
+    monkeypatch.setattr(auto, "MANY_PAIRS", 100)
+    result = dcreg.register(*CLOUDS["rigid3d"], model="rigid3d", node_limit=1)
+    known = dcreg.register(*CLOUDS["rigid3d"], model="rigid3d", n_inliers=20, node_limit=1)
+    assert 16 <= result.n_inliers <= 21
+    assert np.allclose(result.T_target_source, known.T_target_source, atol=0.1)
+
+
+def test_near_pairs_are_counted_one_to_one():
+    target = np.array([[0.0, 0.0], [1.0, 0.0]])
+    points = np.array([[0.0, 0.1], [0.0, -0.2], [1.0, 0.5], [9.0, 9.0]])
+    tree = tree_of(target)
+    assert [greedy_count(points, tree, reach) for reach in (0.05, 0.2, 0.5, 20.0)] == [0, 1, 2, 2]
+
+
+def test_unrelated_clouds_are_called_uncertain():
+    rng = np.random.default_rng(1)
+    clouds = rng.random((40, 2)), rng.random((40, 2))
+    assert dcreg.register(*clouds, model="similarity2d", node_limit=1).warnings
+
+
+def test_only_feasible_pairs_are_counted():
+    source, target = CLOUDS["similarity2d"]
+    candidates = np.eye(24, dtype=bool)
+    candidates[:, 20:] = False
+    result = dcreg.register(source, target, model="similarity2d", candidates=candidates)
+    assert result.n_inliers == 20
+    assert (result.assignment[:, 0] == result.assignment[:, 1]).all()
+
+
+def test_a_certificate_is_kept_for_the_chosen_number(tmp_path):
+    source, target = CLOUDS["similarity2d"]
+    options = dcreg.SolveOptions(certificate=True)
+    result = dcreg.register(source, target, model="similarity2d", options=options)
+    result.write_certificate(tmp_path / "proof.npz")
+    assert dcreg.verify(tmp_path / "proof.npz", source, target).accepted
+
+
+def test_a_stopped_choice_still_gives_a_pose():
+    options = dcreg.SolveOptions(listener=lambda event: True)
+    result = dcreg.register(*CLOUDS["rigid3d"], model="rigid3d", options=options)
+    assert result.status is Status.STOPPED
+    assert any("is a guess" in line for line in result.warnings)
+    assert np.isfinite(result.T_target_source).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"max_rms": 0.1}, "n_inliers: max_rms needs a number of pairs"),
+        ({"options": dcreg.SolveOptions(mode="paper")}, "mode 'paper' searches norms"),
+        ({"options": dcreg.SolveOptions(bound="dc")}, "mode 'paper' searches norms"),
+        ({"n_inliers": "most"}, "n_inliers: 'most' is not a number; give a count, a fraction or"),
+    ],
+)
+def test_what_cannot_work_is_refused_before_the_search(settings, words):
+    with pytest.raises(InputError, match=words):
+        dcreg.register(*CLOUDS["rigid3d"], model="rigid3d", **settings)
+
+
+def test_command_and_batch_choose_the_number(tmp_path):
+    for name, points in zip("ab", CLOUDS["similarity2d"], strict=True):
+        np.savetxt(tmp_path / f"{name}.txt", points)
+    files = [str(tmp_path / f"{name}.txt") for name in "ab"]
+    outcome = run("register", *files, "--model", "similarity2d", "--quiet")
+    assert "20, chosen by the library" in outcome.stdout
+    row = solve(Task(0, *files, "auto", Search("similarity2d"), drop_invalid=False))
+    assert row["n_inliers"] == "20"
+
+
+def test_a_sweep_has_default_numbers():
+    source, target = CLOUDS["rigid3d"]
+    swept = dcreg.sweep(source, target, model="rigid3d", node_limit=1)
+    assert [each.n_inliers for each in swept.results] == [4, 7, 9, 12, 14, 16, 19, 21, 24]
