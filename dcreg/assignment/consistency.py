@@ -29,6 +29,9 @@ from dcreg.search import Budget
 # Shares h / k that are tried, each with the number of graphs after which it is given up. A larger h needs
 # a larger clique, but more pairs are consistent.
 ATTEMPTS = (0.6, 2_000), (2.0 / 3.0, 40_000)
+DENSEST = (
+    0.5  # share of consistent pairs above which large cliques are common, and no search is tried
+)
 _MARGIN = 1e-9  # relative; covers rounding
 
 
@@ -65,6 +68,8 @@ def refutes(
         size = max(1, round(share * n_inliers))
         reach = 2.0 * np.sqrt(limit / (n_inliers - size + 1))
         graph = consistent(source[pairs[:, 0]], target[pairs[:, 1]], pairs, scale_range, reach)
+        if graph.mean() > DENSEST:
+            continue
         try:
             if not has_clique(graph, size, _turns(most, budget)):
                 return True
