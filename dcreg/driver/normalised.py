@@ -9,7 +9,7 @@ import numpy as np
 
 from dcreg.problem import Frame, PairWeights
 from dcreg.result import Stage
-from dcreg.search import Box, Budget, Event, Outcome, Tolerance
+from dcreg.search import Box, Budget, Event, Listener, Outcome, Tolerance
 from dcreg.status import Status
 
 
@@ -114,3 +114,10 @@ class Solution:
             events=[event.scaled(area) for event in self.events],
             minima=[(frame.pose(T), value * area) for T, value in self.minima],
         )
+
+
+def in_input_units(listener: Listener | None, area: float) -> Listener | None:
+    """Return the listener for events in normalised units."""
+    if listener is None:
+        return None
+    return lambda event: listener(event.scaled(area))

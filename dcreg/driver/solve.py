@@ -24,7 +24,7 @@ from dcreg.driver.downsample import (
 )
 from dcreg.driver.memory import advance_notice, check_memory, estimated_memory
 from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
-from dcreg.driver.normalised import NormalisedProblem, Solution
+from dcreg.driver.normalised import NormalisedProblem, Solution, in_input_units
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.warm_up import warm_up_mode, warm_up_region
 from dcreg.families.mode import Mode
@@ -43,7 +43,7 @@ from dcreg.problem.geometry import exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
 from dcreg.result_parts import MemoryEstimate
 from dcreg.runner_up import find_runner_up
-from dcreg.search import Budget, Event, Listener
+from dcreg.search import Budget, Event
 from dcreg.status import Status
 
 if TYPE_CHECKING:
@@ -388,13 +388,6 @@ def _region(problem: Problem, frame: Frame) -> Any:
     from dcreg.families.region import Near
 
     return Near(frame.pose_range(problem.pose_range))
-
-
-def in_input_units(listener: Listener | None, area: float) -> Listener | None:
-    """Return the listener for events in normalised units."""
-    if listener is None:
-        return None
-    return lambda event: listener(event.scaled(area))
 
 
 def _special(problem: Problem) -> tuple[bool, bool, bool, bool]:

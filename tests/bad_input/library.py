@@ -27,7 +27,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
     "complex": ({"target": B2 + 1j}, "target: not an array of real", "masked or complex"),
     "list of models": ({"model": ["rigid3d"]}, "model: ['rigid3d'] is unknown", "known: rigid3d"),
     "model": ({"model": "affine"}, "model: 'affine' is unknown", "known: rigid3d"),
-    "pairs of words": ({"n_inliers": "half"}, "n_inliers: 'half'", "give a count or a fraction"),
+    "pairs of words": ({"n_inliers": "half"}, "n_inliers: 'half'", "give a count, a fraction"),
     "no pairs": ({"n_inliers": None}, "n_inliers: None", "give a count or a fraction"),
     "pairs of truth": ({"n_inliers": True}, "n_inliers: True", "give a count or a fraction"),
     "0 pairs": ({"n_inliers": 0}, "n_inliers: 0", "an integer between 1 and 8"),

@@ -7,7 +7,7 @@ import pytest
 
 import dcreg
 from dcreg.assignment.sparse import greedy_count, tree_of
-from dcreg.cli.options import Search
+from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Task, solve
 from dcreg.driver import auto
 from dcreg.problem import InputError
@@ -125,7 +125,7 @@ def test_command_and_batch_choose_the_number(tmp_path):
     files = [str(tmp_path / f"{name}.txt") for name in "ab"]
     outcome = run("register", *files, "--model", "similarity2d", "--quiet")
     assert "20, chosen by the library" in outcome.stdout
-    row = solve(Task(0, *files, "auto", Search("similarity2d"), drop_invalid=False))
+    row = solve(Task(0, *files, "auto", Search("similarity2d"), Poses(), drop_invalid=False))
     assert row["n_inliers"] == "20"
 
 
