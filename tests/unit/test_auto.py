@@ -131,5 +131,5 @@ def test_command_and_batch_choose_the_number(tmp_path):
 
 def test_a_sweep_has_default_numbers():
     source, target = CLOUDS["rigid3d"]
-    swept = dcreg.sweep(source, target, model="rigid3d", node_limit=1)
+    swept = dcreg.sweep(source, target, model="rigid3d", time_limit=0.3)
     assert [each.n_inliers for each in swept.results] == [4, 7, 9, 12, 14, 16, 19, 21, 24]
