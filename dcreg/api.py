@@ -120,7 +120,8 @@ def register(
         )
     if weights is not None:
         raise InputError(
-            "n_inliers: weights need a number of pairs; give the one that a search without them chooses"
+            "n_inliers: weights need a number of pairs; run once without weights, and give the number "
+            "that the result states"
         )
     from dcreg.driver.auto import register_auto  # a known number does without it
 

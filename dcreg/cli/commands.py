@@ -16,7 +16,7 @@ from dcreg.cli.files import BatchFiles, Outputs, SearchFiles
 from dcreg.cli.numbers import parse_count_or_auto, parse_counts
 from dcreg.cli.options import CloudFiles, Goal, MatchSearch, Poses, Quiet, Search
 from dcreg.cli.weights import WeightFiles
-from dcreg.names import AUTO, FIGURE_PACKAGES
+from dcreg.names import AUTO, FIGURE_PACKAGES, NO_PROOF_EXPECTED
 
 if TYPE_CHECKING:
     import numpy as np
@@ -75,8 +75,8 @@ def register(
 
     Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off .las .laz .e57.
 
-    Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C
-    (the best pose is still written); 4 an output file could not be written; 6 refuted
+    Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C, or
+    no answer to --max-rms (the best pose is still written); 4 an output file could not be written; 6 refuted
     (--max-rms: proven that no pose fits so well).
     """
     paths = {**outputs.paths, **files.paths}
@@ -91,7 +91,9 @@ def register(
     keywords["pose_range"], options["init"] = poses.settings()
     keywords |= {"n_inliers": count, "max_rms": goal.max_rms}
     result = run_search(dcreg.register, *points, quiet=quiet, options=options, **keywords)
-    return _finish(result, points, clouds, outputs, files.certificate_path)
+    code = _finish(result, points, clouds, outputs, files.certificate_path)
+    is_open = goal.max_rms is not None and result.reason == NO_PROOF_EXPECTED
+    return code or (output.EXIT_LIMIT if is_open else output.EXIT_OK)
 
 
 @command

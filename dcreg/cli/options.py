@@ -176,7 +176,7 @@ class Goal:
         a fraction: '1' is one pair, '1.0' is all pairs. By default, the number is chosen by evidence that
         the result states.
     max_rms : D
-        Only decide whether a pose matches K pairs with at most this RMS residual.
+        Only decide whether a pose matches K pairs with at most this RMS residual, in units of the target.
     """
 
     n_inliers: str = AUTO
@@ -223,8 +223,8 @@ class Search:
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
-        Search for a proof to the time limit, also in a sweep. By default, mode full and searches of
-        samples end after a few seconds without a proof.
+        Search for a proof to the limits. By default, searches in mode full and searches of samples end
+        after a few seconds without a proof.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.
@@ -274,8 +274,8 @@ class Poses:
     max_angle : DEG
         Maximum angle of the rotation relative to the initial pose; without --init, of the rotation.
     max_translation : D
-        Maximum displacement of the centroid of the source relative to the initial pose; without --init,
-        from its place in the file.
+        Maximum displacement of the centroid of the source, in units of the target, from its place at the
+        initial pose; without --init, in the file.
     rotation : switch
         Search rotations and translations, or only translations.
     """

@@ -73,12 +73,13 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
     """Choose the number of pairs and solve, see `dcreg.register`; that of `problem` does not matter."""
     if limits.max_rms is not None:
         raise InputError(
-            "n_inliers: max_rms needs a number of pairs; give one, or use max_inliers (`dcreg "
-            "max-inliers`) for the largest one within a distance"
+            "n_inliers: max_rms needs a number of pairs; give one, or find the largest possible number "
+            "with max_inliers (`dcreg max-inliers`)"
         )
     if options.checkpoint is not None:
         raise InputError(
-            "n_inliers: checkpoint needs a number of pairs; give the one that a search without it chooses"
+            "n_inliers: checkpoint needs a number of pairs; run once without checkpoint, and give the "
+            "number that the result states"
         )
     name = None if options.mode == AUTO else options.mode
     if options.bound is not None or options.certificate:
@@ -111,9 +112,9 @@ def _check(mode: Mode) -> None:
     """Refuse a mode that knows no poses."""
     if mode.in_norm_space:
         raise InputError(
-            f"n_inliers: 'auto' needs a search over poses, but mode {mode.name!r} searches norms; give a "
-            "number, or use mode 'full' with clouds of at most 4,000,000 point pairs, and omit bound and "
-            "certificate"
+            "n_inliers: the number can only be chosen by a search over poses, but mode "
+            f"{mode.name!r} searches norms; give a number, or use mode 'full' (at most 4,000,000 point "
+            "pairs, 160,000 with a certificate) without a bound"
         )
 
 

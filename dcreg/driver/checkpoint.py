@@ -122,8 +122,8 @@ class CheckpointFile:
         budget.add_earlier(state["elapsed_s"], _events(state["history"]))
         nodes = (state["part"] or state["search"])["n_nodes"]
         _LOGGER.info(
-            f"continuing the search of {self._path}: {text.count(nodes, 'node')} in "
-            f"{state['elapsed_s']:.0f} s so far"
+            f"continuing the search of {self._path}: {text.count(nodes, 'box', 'boxes')} in "
+            f"{state['elapsed_s']:.0f} s of earlier runs"
         )
 
     def save(self, course: Course, at_once: bool) -> None:
@@ -136,7 +136,7 @@ class CheckpointFile:
         except OSError as error:  # not worth the loss of a search
             reason = error.strerror or error
             _LOGGER.warning(
-                f"checkpoint {self._path}: cannot be written ({reason}); free some space"
+                f"checkpoint {self._path}: cannot be written ({reason}); the search continues"
             )
         ended = time.monotonic()
         self._due = ended + max(INTERVAL_S, (ended - began) / WRITING_SHARE)
@@ -281,10 +281,12 @@ def _read(path: Path, identity: dict[str, Any]) -> dict[str, Any]:
         if (old := saved.get(name)) == (new := identity[name]):
             continue
         if name == "version":
-            problem = f"was written by dcreg {old}, and this is {new}; use that version"
+            problem = f"was written by dcreg {old}, but this is dcreg {new}; use dcreg {old}"
         elif name in (*_ARRAYS, "weights"):
             problem = f"belongs to another problem ({name} differs); give the same files"
         else:
             problem = f"belongs to a search with {name} {old}, not {new}; give the same options"
-        raise InputError(f"checkpoint: {path} {problem}, name another file, or delete it")
+        raise InputError(
+            f"checkpoint: {path} {problem}, name another checkpoint file, or delete this one"
+        )
     return state

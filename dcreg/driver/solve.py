@@ -304,7 +304,7 @@ class Finish:
             n_inliers=problem.n_inliers, lower_bound=solution.lower_bound, upper_bound=upper_bound,
             max_rms=self.setup.limits.max_rms, memory_estimate=self.setup.memory,
             gap_tol=tolerance.allowed(upper_bound), is_exact=tolerance.is_exact(upper_bound),
-            certificate_scope=solution.scope + ", weighted points" * (problem.weights is not None),
+            certificate_scope=_scope(problem, solution),
             objective=final, objective_certified=before[0],
             n_nodes=sum(stage.n_nodes for stage in solution.stages),
             n_assignments=sum(stage.n_assignments for stage in solution.stages),
@@ -379,6 +379,12 @@ def with_uncertainty(
         covariance=pose_covariance(pose, matched, target[columns], weights, has_scale=has_scale),
         open_directions=open_directions(moved, target, has_scale=has_scale),
     )
+
+
+def _scope(problem: Problem, solution: Solution) -> str:
+    """Return what the bounds refer to."""
+    where = ", within the range of poses" * (problem.pose_range is not None)
+    return solution.scope + where + ", weighted points" * (problem.weights is not None)
 
 
 def _region(problem: Problem, frame: Frame) -> Any:

@@ -95,8 +95,9 @@ class PointWeights:
         if distance is None and not is_constant:
             raise InputError(
                 f"weights: with n_inliers={n_inliers} of {n} source and {m} target points, a matching "
-                "could gain by light points; give distance (--weight-distance), the residual that a "
-                "missing weight counts as, or weight one cloud only and match all of its points"
+                "could lower its cost by selecting points of low weight; give distance "
+                "(--weight-distance), such as the largest residual of a true pair, or weight one cloud "
+                "only and match all of its points"
             )
         factors = np.outer(rows / rows.max(), columns / columns.max())
         return PairWeights(factors, (1.0 - factors) * (distance or 0.0) ** 2)
