@@ -355,7 +355,7 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
 )
 
 # They compare residuals, which the objective of weighted points does not give.
-OF_RESIDUALS = few_pairs, loose_pairs
+OF_RESIDUALS = few_pairs, loose_pairs, ambiguous
 
 
 def warnings_for(case: Case) -> list[str]:

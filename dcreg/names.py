@@ -29,6 +29,7 @@ AUTO = "auto"  # the library chooses: the mode, or the number of pairs
 
 # Numbers of pairs of a sweep by default, as shares of the smaller cloud.
 SWEEP_SHARES = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+SWEEP_TEXT = ",".join(map(str, SWEEP_SHARES))
 
 BOUND_NAMES = ("tight", "shared", "dc", "interval")
 DEFAULT_BOUND = "tight"

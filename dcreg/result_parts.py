@@ -229,14 +229,14 @@ class ChosenNumber:
         compare.
     low, high : int
         The numbers from `low` to `high` fit nearly as well.
-    rival : int, optional
+    runner_up : int, optional
         This number of pairs fits nearly as well at a clearly different pose.
     """
 
     compared: list[ComparedNumber]
     low: int
     high: int
-    rival: int | None = None
+    runner_up: int | None = None
 
     def __str__(self) -> str:
         if not self.compared:

@@ -13,7 +13,6 @@ from workflows.outcomes import attempted
 
 ALL = "all tests"
 BEST, TIED, WORSE = "best", "tied", "worse"
-_INSTANCE = ["instance_id", "n_inliers_ratio"]
 
 
 @dataclass(frozen=True)
@@ -21,7 +20,8 @@ class Cell:
     """The right runs of one method on one test.
 
     `standing` is `BEST` for the highest success rate, `TIED` for methods with a lower one that are not
-    significantly worse, `WORSE` for all others, and empty for methods that receive the true pairs.
+    significantly worse, `WORSE` for all others, and empty for methods that receive the true pairs or
+    attempted fewer than half of the instances.
     """
 
     right: int
@@ -43,7 +43,7 @@ class Matrix:
 
     model: str
     columns: list[str]
-    rows: dict[str, dict[str, Cell]]  # by method: the highest first, those with the true pairs last
+    rows: dict[str, dict[str, Cell]]  # by method: the highest first, those not compared last
 
     def standing(self, standing: str) -> list[str]:
         """Return the methods with a standing in the first column."""
@@ -53,7 +53,7 @@ class Matrix:
 
 def matrices(tables: Tables) -> list[Matrix]:
     """Return a matrix for each model with attempted runs."""
-    runs = attempted(tables.runs[["model", "test", "method", "outcome", "success", *_INSTANCE]])
+    runs = attempted(tables.runs[["model", "test", "method", "outcome", "success", "instance_id"]])
     runs = runs.assign(success=is_right(runs))
     return [_matrix(tables, str(model), part) for model, part in runs.groupby("model", sort=False)]
 
@@ -66,7 +66,7 @@ def _matrix(tables: Tables, model: str, runs: pd.DataFrame) -> Matrix:
     first = next(iter(columns.values()))
 
     def rank(method: str) -> tuple[bool, float, int]:
-        return tables.is_oracle(method), -first[method].share, tables.methods.index(method)
+        return not first[method].standing, -first[method].share, tables.methods.index(method)
 
     rows = {
         method: {name: cells[method] for name, cells in columns.items() if method in cells}
@@ -77,13 +77,21 @@ def _matrix(tables: Tables, model: str, runs: pd.DataFrame) -> Matrix:
 
 def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
     """Return the cell of each method. Holm's procedure covers the comparisons with the highest rate."""
-    right = runs.pivot_table(index=_INSTANCE, columns="method", values="success", aggfunc="first")
-    rivals = [name for name in tables.methods if name in right and not tables.is_oracle(name)]
+    right = runs.pivot_table(
+        index="instance_id", columns="method", values="success", aggfunc="first"
+    )
+    counts = right.count()
+    rivals = [
+        name
+        for name in tables.methods
+        if name in right and not tables.is_oracle(name) and 2 * counts[name] >= len(right)
+    ]
     standing = dict.fromkeys(right, "")
     if rivals:
-        shares = {name: right[name].mean() for name in rivals}
-        best = max(rivals, key=lambda name: shares[name])
-        others = [name for name in rivals if shares[name] < shares[best]]
+        most = counts[rivals].max()
+        shares = {name: right[name].mean() for name in rivals if counts[name] == most}
+        best = max(shares, key=lambda name: shares[name])
+        others = [name for name in rivals if shares.get(name) != shares[best]]
         p_of = [_p_value(right[best], right[name]) for name in others]
         standing |= dict.fromkeys(rivals, BEST)
         for name, p, level in zip(others, p_of, holm(p_of), strict=True):
@@ -95,8 +103,10 @@ def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
 
 
 def _p_value(best: pd.Series, other: pd.Series) -> float:
-    """Return the p-value of McNemar's exact test on the instances that both methods attempted."""
+    """Return the p-value of McNemar's exact test, one-sided, on the instances that both attempted."""
     both = best.notna() & other.notna()
-    wins = int((best[both].astype(bool) & ~other[both].astype(bool)).sum())
-    losses = int((~best[both].astype(bool) & other[both].astype(bool)).sum())
-    return float(binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
+    best, other = best[both].astype(bool), other[both].astype(bool)
+    wins, losses = int((best & ~other).sum()), int((~best & other).sum())
+    if wins + losses == 0:
+        return 1.0
+    return float(binomtest(wins, wins + losses, alternative="greater").pvalue)

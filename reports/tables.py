@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 COVERAGE = 0.95
 BOUNDS = ("lower_bound", "upper_bound")
 MOST_EVENTS = 200  # of a bound history in a figure
-PENALTY = 2.0  # time limits that a run without a right pose counts (PAR2)
+PENALTY = 2.0  # time limits that a run without the right pose counts (PAR2)
 
 
 class ReportError(UserError):
@@ -158,18 +158,13 @@ def count_outcomes(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def counted_time(runs: pd.DataFrame, cards: dict[str, dict[str, Any]]) -> pd.Series:
-    """Return the seconds of runs; a run without a right pose counts `PENALTY` times the time limit.
+    """Return the seconds of runs; a run without the right pose counts `PENALTY` times the time limit.
 
-    If a limit on work ended it, or without a limit in the cards, it counts `PENALTY` times its own time.
+    That is the longest limit of any method, so the penalty is the same for all.
     """
-    limits = {
-        label: limit
-        for label, card in cards.items()
-        if (limit := card.get("limits", {}).get("time_s")) is not None
-    }
-    by_work = runs["status"].isin(("assignment_limit", "node_limit"))
-    limit = runs["method"].map(limits).astype(float).mask(by_work).fillna(runs["time_solve_s"])
-    return runs["time_solve_s"].where(is_right(runs), PENALTY * limit)
+    limits = [card.get("limits", {}).get("time_s") for card in cards.values()]
+    longest = max(filter(None, limits), default=runs["time_solve_s"].max())
+    return runs["time_solve_s"].where(is_right(runs), PENALTY * longest)
 
 
 def is_right(runs: pd.DataFrame) -> pd.Series:

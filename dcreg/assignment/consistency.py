@@ -29,9 +29,7 @@ from dcreg.search import Budget
 # Shares h / k that are tried, each with the number of graphs after which it is given up. A larger h needs
 # a larger clique, but more pairs are consistent.
 ATTEMPTS = (0.6, 2_000), (2.0 / 3.0, 40_000)
-DENSEST = (
-    0.5  # share of consistent pairs above which large cliques are common, and no search is tried
-)
+DENSEST = 0.5  # share of consistent pairs; with more, large cliques are common and none is searched
 _MARGIN = 1e-9  # relative; covers rounding
 
 

@@ -82,7 +82,7 @@ class ExactProof:
     ) -> None:
         self.k, self.feasible = c.n_inliers, feasible
         self.max_boxes, self.progress = max_boxes, progress
-        self.n_boxes = self.n_assignments = 0
+        self.n_boxes = 0
         clouds = source, target, c.source_centre, c.target_centre
         q = max(P - math.frexp(c.unit)[1], *(_places(x) for cloud in clouds for x in cloud.flat))
         x, y, x_centre, y_centre = cloud_integers = [_integers(cloud, q) for cloud in clouds]
@@ -275,7 +275,6 @@ class ExactProof:
 
     def _matched(self, cost: np.ndarray) -> Matching:
         """Return the best pairs and duals, up to rounding, and the lower bound that the duals prove."""
-        self.n_assignments += 1
         hints = np.minimum(cost >> self._shift, HINT_LARGEST).astype(float)
         wide, columns = cheapest_pairs(hints, self.k)
         m = cost.shape[1]

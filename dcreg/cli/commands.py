@@ -16,7 +16,7 @@ from dcreg.cli.files import BatchFiles, Outputs, SearchFiles
 from dcreg.cli.numbers import parse_count_or_auto, parse_counts
 from dcreg.cli.options import CloudFiles, Goal, MatchSearch, Poses, Quiet, Search
 from dcreg.cli.weights import WeightFiles
-from dcreg.names import AUTO, FIGURE_PACKAGES, NO_PROOF_EXPECTED
+from dcreg.names import AUTO, FIGURE_PACKAGES, NO_PROOF_EXPECTED, SWEEP_TEXT
 
 if TYPE_CHECKING:
     import numpy as np
@@ -76,8 +76,8 @@ def register(
     Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off .las .laz .e57.
 
     Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C, or
-    no answer to --max-rms (the best pose is still written); 4 an output file could not be written; 6 refuted
-    (--max-rms: proven that no pose fits so well).
+    no answer to --max-rms (the best pose is still written); 4 an output file could not be written;
+    6 refuted (--max-rms: proven that no pose fits so well).
     """
     paths = {**outputs.paths, **files.paths}
     weight_paths = weights.source_weights_path, weights.target_weights_path
@@ -122,7 +122,7 @@ def register_matches(
 def sweep(
     *,
     clouds: CloudFiles,
-    n_inliers: str = "0.2:1.0:0.1",
+    n_inliers: str = SWEEP_TEXT,
     search: Search,
     poses: Poses,
     out_path: Path | None = None,

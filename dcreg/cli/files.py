@@ -10,6 +10,15 @@ from dcreg.cli.options import flag
 from dcreg.names import CLOUD_SUFFIXES
 
 
+class Files:
+    """Files whose options are fields."""
+
+    @property
+    def paths(self) -> dict[str, Path | None]:
+        """The file of each option."""
+        return {flag(name): path for name, path in vars(self).items()}
+
+
 @dataclass
 class AnswerFiles:
     """The files of the answer to a question.
@@ -54,7 +63,7 @@ class BatchFiles:
 
 
 @dataclass
-class SearchFiles:
+class SearchFiles(Files):
     """The files of the search of a registration.
 
     Attributes
@@ -69,14 +78,9 @@ class SearchFiles:
     certificate_path: Path | None = None
     checkpoint_path: Path | None = None
 
-    @property
-    def paths(self) -> dict[str, Path | None]:
-        """The file of each option."""
-        return {flag(name): path for name, path in vars(self).items()}
-
 
 @dataclass
-class Outputs:
+class Outputs(Files):
     """The files of one registration.
 
     Attributes
@@ -96,11 +100,6 @@ class Outputs:
     trace_path: Path | None = None
     plot_path: Path | None = None
     output_path: Path | None = None
-
-    @property
-    def paths(self) -> dict[str, Path | None]:
-        """The file of each option."""
-        return {flag(name): path for name, path in vars(self).items()}
 
     def check(self, paths: dict[str, Path | None], *inputs: str | None) -> None:
         """Refuse before the search what could not be written; `paths` are those of all options."""

@@ -19,8 +19,8 @@ class WeightFiles:
     target_weights_path : FILE
         Weights of the target points.
     weight_distance : D
-        Length in units of the target: a pair of weight w (at most 1) costs w * residual^2 + (1 - w) * D^2.
-        Required unless only one cloud has weights and all its points are matched.
+        Length in units of the target: a pair of weight w (at most 1) costs w * residual^2 +
+        (1 - w) * D^2. Required unless only one cloud has weights and all its points are matched.
     """
 
     source_weights_path: str | None = None

@@ -62,9 +62,7 @@ MAX_ROUNDS = 8  # of the alternation
 MAX_POINTS = 2000  # source points whose nearest distances are compared
 TIME_SHARE = 0.4  # of the time limit
 NEARLY = 1.1  # fractional RMSE of what fits nearly as well, divided by the minimum
-UNCERTAIN = (
-    1.5  # ratio of the largest to the smallest such number from which the choice is uncertain
-)
+UNCERTAIN = 1.5  # ratio of the largest to the smallest such number that makes the choice uncertain
 STAGE = "n_inliers"
 _REMEDY = "Give n_inliers if you know it, or look at the curves of `dcreg sweep`"
 
@@ -102,7 +100,7 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
             stages=[stage, *result.stages],
             n_assignments=result.n_assignments + choice.n_assignments,
             warnings=[
-                *doubts(result.n_inliers, chosen, setup.problems[0].n_inliers),
+                *choice_warnings(result.n_inliers, chosen, setup.problems[0].n_inliers),
                 *result.warnings,
             ],
         )
@@ -129,12 +127,12 @@ def _problems(problem: Problem) -> list[Problem]:
     return [largest.with_n_inliers(int(k)) for k in numbers]
 
 
-def doubts(n_inliers: int, chosen: ChosenNumber, least: int) -> Iterator[str]:
+def choice_warnings(n_inliers: int, chosen: ChosenNumber, least: int) -> Iterator[str]:
     """Yield a warning where the evidence for a number of pairs is weak."""
     if not chosen.compared:
         yield (
-            f"the time limit was hit before numbers of pairs could be compared, so n_inliers={n_inliers} "
-            f"is a guess. {_REMEDY}"
+            "no numbers of pairs were compared before the search was stopped or the time was over, so "
+            f"n_inliers={n_inliers} is a guess. {_REMEDY}"
         )
     elif n_inliers == least:
         yield f"n_inliers={n_inliers} is the smallest number that was compared. {_REMEDY}"
@@ -143,10 +141,11 @@ def doubts(n_inliers: int, chosen: ChosenNumber, least: int) -> Iterator[str]:
             f"n_inliers={n_inliers} is uncertain: from {chosen.low} to {chosen.high} pairs, the "
             f"residuals do not increase sharply. {_REMEDY}"
         )
-    if chosen.rival is not None:
+    other = chosen.runner_up
+    if other is not None and not chosen.low <= other <= chosen.high:
         yield (
-            f"n_inliers={n_inliers} is uncertain: at another pose, {chosen.rival} pairs fit nearly as "
-            f"well. {_REMEDY}"
+            f"n_inliers={n_inliers} is uncertain: at another pose, {other} pairs fit nearly as well. "
+            f"{_REMEDY}"
         )
 
 
@@ -229,12 +228,14 @@ class _Choice(abc.ABC):
             ComparedNumber(min(int(self.numbers[-1]), round(share * number)), float(rms))
             for number, rms in zip(fit.numbers.tolist(), fit.rms, strict=True)
         ]
-        near = np.flatnonzero(fit.fractional <= NEARLY * fit.fractional.min())
-        low, high = compared[near[0]].n_inliers, compared[near[-1]].n_inliers
-        rival = self._rival(fit, fits)
-        return at, ChosenNumber(compared, min(chosen, low), max(chosen, high), rival), fit.pose
+        # the run of numbers around the best one that fit nearly as well
+        others = np.flatnonzero(fit.fractional > NEARLY * fit.fractional.min())
+        first = others[others < fit.best].max(initial=-1) + 1
+        last = others[others > fit.best].min(initial=len(compared)) - 1
+        low, high = min(chosen, compared[first].n_inliers), max(chosen, compared[last].n_inliers)
+        return at, ChosenNumber(compared, low, high, self._runner_up(fit, fits)), fit.pose
 
-    def _rival(self, fit: _Fit, fits: Sequence[_Fit]) -> int | None:
+    def _runner_up(self, fit: _Fit, fits: Sequence[_Fit]) -> int | None:
         """Return the number of pairs of a clearly different pose that is nearly as good, or None."""
         moments, distinct = Moments.of(self.problem.source), DISTINCT * self.setup.frame.unit
         others = [each for each in fits if moments.displacement(each.pose, fit.pose) > distinct]
@@ -326,8 +327,13 @@ class _ByPairs(_Choice):
         problem, k = self.problem, self.numbers[rows]
         clouds = problem.source, problem.target
         # the cheapest pairs of a larger optimal matching are not those of a smaller one
-        values = [objective(*clouds, fit.pose, int(n), problem.candidates)[0] for n in k]
+        values: list[float] = []
+        for n in k:
+            if values and self.budget.is_over:
+                break
+            values.append(objective(*clouds, fit.pose, int(n), problem.candidates)[0])
         self.n_assignments += len(values)
+        k = k[: len(values)]
         rms = np.sqrt(np.maximum(values, 0.0) / k)
         between = _Fit.of(fit.pose, k, rms, self.rounding, POWER_OF_PAIRS)
         return float(k[between.best]), 1.0

@@ -12,10 +12,8 @@ from dcreg.driver.normalised import NormalisedProblem
 from dcreg.search import Budget, Event, Interrupted, Outcome
 from dcreg.status import Status
 
-FEASIBLE, MAX_FEASIBLE = (
-    "feasible pairs",
-    1000,
-)  # the stage, and the number of pairs up to which it runs
+FEASIBLE = "feasible pairs"  # the stage
+MAX_FEASIBLE = 1000  # pairs up to which it runs
 REFUTING_SHARE = 0.5  # of the time, at most
 
 
@@ -35,9 +33,12 @@ def refuted_at_once(space: Any, problem: NormalisedProblem, budget: Budget) -> O
         lower_bound, budget.sub_budget(REFUTING_SHARE),
     ):  # fmt: skip
         return None
-    theta, value, spent = space.seeds()[0], np.inf, 0
+    theta, spent = next(space.starts(budget))
+    value = np.inf
     with suppress(Interrupted):
-        theta, value, spent = space.refine(theta)
+        refined, value, n_more = space.refine(theta)
+        spent += n_more
+        theta = refined if np.isfinite(value) else theta
     now = budget.elapsed()
     event = Event("end", FEASIBLE, now, 0, spent, 0, lower_bound, value, Status.REFUTED.value)
     budget.report(event)

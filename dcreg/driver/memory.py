@@ -20,6 +20,7 @@ COST_BYTES = 12  # per pair of points: costs in double and in single precision
 PENALTY_BYTES = 9  # per pair of points, if there are candidates
 POINT_BYTES = 250  # per point: copies, search trees and neighbours
 STORED_2D_MB, STORED_3D_MB = 400.0, 150.0  # what bounds store at most about vertices of boxes
+OPTIMISM = 0.7  # measured memory, divided by the estimate, at least
 # Pairs of points, or seconds, from which a solve is large work.
 MANY_PAIRS, LONG_S = 1_000_000, 600.0
 
@@ -76,12 +77,12 @@ def check_memory(estimate: MemoryEstimate, problem: Problem) -> None:
     """
     free = available_mb()
     # the process itself is in the memory already
-    if estimate.peak_mb - PROCESS_MB > free:
+    if OPTIMISM * (estimate.peak_mb - PROCESS_MB) > free:
         n, m = len(problem.source), len(problem.target)
         raise InputError(
             f"source, target: {n:,} and {m:,} points need about {estimate.peak_mb:,.0f} MB of memory, "
-            f"but {free:,.0f} MB are available; search a sample (downsample=200, or --downsample 200), or "
-            "give thinner clouds where samples are refused"
+            f"but {free:,.0f} MB are available; search a sample (downsample=200, or --downsample 200) or, "
+            "where samples are refused, give thinner clouds"
         )
 
 
@@ -96,7 +97,9 @@ def available_mb() -> float:
     with suppress(OSError, ValueError):  # a container with a limit
         folder = Path("/sys/fs/cgroup")
         most, used = (int((folder / f"memory.{name}").read_text()) for name in ("max", "current"))
-        free = min(free, max(0.0, (most - used) / MB))
+        lines = (folder / "memory.stat").read_text().splitlines()
+        cached = sum(int(line.split()[1]) for line in lines if line.startswith("inactive_file "))
+        free = min(free, max(0.0, (most - used + cached) / MB))
     return free
 
 

@@ -131,11 +131,6 @@ def check_mode(
 
 def _check_weights(mode: Mode, problem: Problem, others: dict[str, bool]) -> None:
     """Refuse weights with a mode, a range, clouds or other settings that would ignore them."""
-    if not mode.takes_weights:
-        raise InputError(
-            f"weights: {problem.model} in mode {mode.name!r} takes none; use similarity2d, or rigid3d in "
-            "mode 'full' without bound"
-        )
     others = {"pose_range": problem.pose_range is not None, **others}
     for name in filter(others.get, others):
         raise InputError(f"{name}: takes no weights; omit {name} or weights")
@@ -143,6 +138,11 @@ def _check_weights(mode: Mode, problem: Problem, others: dict[str, bool]) -> Non
     if n * m > AT_ONCE_PAIRS:
         raise InputError(
             f"weights: {n} x {m} pairs exceed {AT_ONCE_PAIRS:,}; thin both clouds first, or omit weights"
+        )
+    if not mode.takes_weights:
+        raise InputError(
+            f"weights: {problem.model} in mode {mode.name!r} takes none; use similarity2d, or rigid3d in "
+            "mode 'full' without bound"
         )
 
 
@@ -317,7 +317,8 @@ def attempts(
         A known pose of the range. By default, it is searched for.
     """
     problem, region = attempt.problem, attempt.problem.region
-    if refuted := refuted_at_once(attempt.space, problem, budget):
+    is_new = budget.resumed is None
+    if is_new and (refuted := refuted_at_once(attempt.space, problem, budget)):
         yield replace(attempt, mode=replace(attempt.mode, stage=FEASIBLE)), refuted
         return
     if region is None or not region.has_limits:

@@ -58,10 +58,12 @@ class SolveOptions:
         and searches with a limit on boxes or assignments, continue to their limits.
     assignment_limit : int, optional
         Maximum number of exact assignments of each search, including those of the initial poses. In
-        contrast to a time limit it gives the same result on every machine.
+        contrast to a time limit it gives the same result on every machine. The choice of `n_inliers` is
+        not counted; it ends by the time.
     init : (d+1, d+1) array, optional
         An initial guess of the pose, from which one more local search starts. It gives an upper bound at
-        once and does not limit the search; see `PoseRange` for that.
+        once and does not limit the search; see `PoseRange` for that. If the library chooses `n_inliers`,
+        the choice begins with this pose, and the search with the pose chosen.
     checkpoint : path, optional
         A file in which `dcreg.register` saves the state of its search every two minutes and at its end.
         If the file exists, the search continues from it; the problem and the options that change the

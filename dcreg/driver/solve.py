@@ -199,10 +199,9 @@ class Setup:
         """Return the problem that is searched for ``problems[at]``."""
         problem, mode, options, frame = self.searched[at], self.mode, self.options, self.frame
         source, target, k = problem.source, problem.target, problem.n_inliers
-        given, sizes = self.problems[at].n_inliers, (source, target, k)
-        tolerance = self.limits.tolerance(
-            given, rounding_error(*sizes), exact_objective(*sizes), k / given
-        )
+        given = self.problems[at].n_inliers
+        rounding = rounding_error(source, target, k)
+        tolerance = self.limits.tolerance(given, rounding, _exact_value(problem), k / given)
         return NormalisedProblem(
             frame.source(source), frame.target(target), k, problem.scale_range, problem.candidates,
             frame, options.bound or mode.own_bound, options.start_box == START_BOXES[0],
@@ -259,12 +258,12 @@ class Finish:
     def _exact(self, result: Result) -> Result:
         """Return an exact fit as optimal on all points: 0 is a lower bound of every sum of squares."""
         problem = self.setup.problems[self.at]
-        sizes = (problem.source, problem.target, problem.n_inliers)
-        exact, value = exact_objective(*sizes), result.objective
+        exact, value = _exact_value(problem), result.objective
         is_decided = result.success or result.status is Status.REFUTED
         if value > exact or is_decided or result.certificate is not None:
             return result
-        tolerance = self.setup.limits.tolerance(problem.n_inliers, rounding_error(*sizes), exact)
+        rounding = rounding_error(problem.source, problem.target, problem.n_inliers)
+        tolerance = self.setup.limits.tolerance(problem.n_inliers, rounding, exact)
         return replace(
             result, status=Status.OPTIMAL, lower_bound=0.0, upper_bound=value, is_exact=True,
             gap_tol=tolerance.allowed(value), T_certified=result.T_target_source,
@@ -385,6 +384,12 @@ def _scope(problem: Problem, solution: Solution) -> str:
     """Return what the bounds refer to."""
     where = ", within the range of poses" * (problem.pose_range is not None)
     return solution.scope + where + ", weighted points" * (problem.weights is not None)
+
+
+def _exact_value(problem: Problem) -> float:
+    """Return the objective up to which a fit is exact, also that of the lightest pairs."""
+    lightest = 1.0 if problem.weights is None else float(problem.weights.factors.min())
+    return lightest * exact_objective(problem.source, problem.target, problem.n_inliers)
 
 
 def _region(problem: Problem, frame: Frame) -> Any:

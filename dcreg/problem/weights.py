@@ -54,7 +54,8 @@ class PointWeights:
     Attributes
     ----------
     source, target : (n,), (m,) arrays, optional
-        Positive numbers; default: equal weights. Source weights give tighter bounds than target weights.
+        Positive numbers; default: equal weights. In 2D, source weights give tighter bounds than target
+        weights; in 3D, weights of the smaller cloud do.
     distance : float, optional
         In units of the target, such as the largest residual of a right pair. It can be omitted if only
         one cloud is weighted and all its points are matched: the sum of the weights is then the same for
@@ -88,6 +89,8 @@ class PointWeights:
         rows, columns = _checked("source", self.source, n), _checked("target", self.target, m)
         is_flat = np.ptp(rows) == 0.0, np.ptp(columns) == 0.0
         distance = self._checked_distance()
+        if distance is not None and self.source is None and self.target is None:
+            raise InputError("weights: distance is given without weights; give source or target")
         if all(is_flat):
             return None
         # the matched weights add up to the same sum in every matching

@@ -181,7 +181,10 @@ def certify(
     problem = Problem(source, target, n_inliers, model, scale_range, candidates, pose_range)
     chosen = SolveOptions.of(options)
     if chosen.init is not None:
-        raise InputError("init: certify begins with the pose that it judges; omit init, or pass PoseRange(around=...)")
+        raise InputError(
+            "init: certify begins with the pose that it judges; omit init, or pass it as "
+            "PoseRange(around=...)"
+        )
     T = _admissible(checked_pose("pose", pose, problem.dim, has_scale=problem.has_scale), problem)
     clouds, k = (problem.source, problem.target), problem.n_inliers
     value, _ = objective(*clouds, T, k, problem.candidates, prove=not is_large(*map(len, clouds)))

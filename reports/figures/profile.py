@@ -25,7 +25,6 @@ _PANELS = {
 }
 _MOST_STEPS = 250
 _NEEDED = ["model", "method", "outcome", "machine_id", "success", _ERROR, _TIME]
-_INSTANCE = ["instance_id", "n_inliers_ratio"]
 
 
 def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:
@@ -34,11 +33,12 @@ def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:
     Wrong and missing poses count in the denominator only, so a curve over time ends at the success rate.
     The times are those of one machine.
     """
-    runs = attempted(tables.runs[[*_INSTANCE, *_NEEDED]])
+    runs = attempted(tables.runs[["instance_id", *_NEEDED]])
     runs = runs[runs["model"] == model]
     here = runs["machine_id"] == main_machine(tables.runs)
     times = runs[_TIME].where(is_right(runs) & here)
-    fastest = times.groupby([runs[key] for key in _INSTANCE]).transform("min")
+    rivals = times.where(~runs["method"].map(tables.is_oracle))
+    fastest = rivals.groupby(runs["instance_id"]).transform("min")
     runs = runs.assign(**{_TIME: times, _RATIO: times / fastest})
     grid, traces = Grid(column_titles=[title for title, *_ in _PANELS.values()]), []
     for column, (name, (_, title, share)) in enumerate(_PANELS.items()):

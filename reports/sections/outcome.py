@@ -21,6 +21,7 @@ ID = "outcome"
 TITLE = "Outcome"
 POSITION = 10
 MAX_NAMED = 4
+AMONG = "among the methods that are compared, "
 NEEDED = [
     "model", "method", "status", "outcome", "success", "gap", "bound_ratio", "certificate_scope",
     "rmse_excess", "rmse_floor", "n_assignments", "truth_in_cube",
@@ -59,16 +60,20 @@ def sentence(matrix: Matrix, styles: dict[str, Style]) -> str:
     )
     if not best:
         return f"{matrix.model}: only methods that receive the true pairs were run."
-    cell = next(iter(matrix.rows.values()))[matrix.columns[0]]
+    cell = matrix.rows[matrix.standing(BEST)[0]][matrix.columns[0]]
+    among = (
+        "" if all(cells[matrix.columns[0]].standing for cells in matrix.rows.values()) else AMONG
+    )
+    verb = "has" if len(best) == 1 else "have"
     found = (
-        f"{matrix.model}: {listed(best)} {'has' if len(best) == 1 else 'have'} the highest success "
-        f"rate, {share(cell.share, *cell.interval)} of {cell.runs} runs"
+        f"{matrix.model}: {among}{listed(best)} {verb} the highest success rate, "
+        f"{share(cell.share, *cell.interval)} of {cell.runs} runs"
     )
     if tied:
         return (
             f"{found}; {listed(tied)} {'is' if len(tied) == 1 else 'are'} not significantly worse."
         )
-    return found + ("; all others are significantly worse." if worse else ".")
+    return found + ("; the others are significantly worse." if worse else ".")
 
 
 def facts(tables: Tables) -> list[tuple[str, str]]:

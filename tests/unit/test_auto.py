@@ -28,7 +28,7 @@ def test_the_planted_number_is_chosen(found):
     assert 19 <= k <= 20
     known = dcreg.register(*CLOUDS[found.model], model=found.model, n_inliers=k, node_limit=1)
     assert found.objective <= known.objective * (1.0 + 1e-6)
-    assert found.chosen_number.rival is None
+    assert found.chosen_number.runner_up is None
     assert not [line for line in found.warnings if line.startswith("n_inliers")]
 
 
