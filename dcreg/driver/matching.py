@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from dcreg.driver.options import Limits, SolveOptions
-from dcreg.driver.solve import PATIENCE_S, with_uncertainty
+from dcreg.driver.solve import PATIENCE_S
+from dcreg.driver.uncertainty import with_uncertainty
 from dcreg.driver.warm_up import warm_up_matches
 from dcreg.families.matches.bound import MatchBound
 from dcreg.families.matches.problem import MatchProblem

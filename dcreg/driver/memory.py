@@ -81,8 +81,8 @@ def check_memory(estimate: MemoryEstimate, problem: Problem) -> None:
         n, m = len(problem.source), len(problem.target)
         raise InputError(
             f"source, target: {n:,} and {m:,} points need about {estimate.peak_mb:,.0f} MB of memory, "
-            f"but {free:,.0f} MB are available; search a sample (downsample=200, or --downsample 200) or, "
-            "where samples are refused, give thinner clouds"
+            f"but {free:,.0f} MB are available; search a sample (downsample=200, or --downsample 200), "
+            "or give thinner clouds where samples are refused"
         )
 
 

@@ -26,6 +26,7 @@ from dcreg.driver.memory import advance_notice, check_memory, estimated_memory
 from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution, in_input_units
 from dcreg.driver.options import Limits, SolveOptions
+from dcreg.driver.uncertainty import with_uncertainty
 from dcreg.driver.warm_up import warm_up_mode, warm_up_region
 from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
@@ -34,10 +35,7 @@ from dcreg.problem import (
     Frame,
     InputError,
     Problem,
-    apply_pose,
     checked_pose,
-    open_directions,
-    pose_covariance,
 )
 from dcreg.problem.geometry import exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
@@ -350,34 +348,6 @@ class Finish:
             found, root, problem, normalised.frame, normalised.tolerance.allowed(found.upper_bound),
             model=mode.certifies, mode=mode.name, bound=normalised.bound,
         )  # fmt: skip
-
-
-def with_uncertainty(
-    result: Result,
-    source: np.ndarray,
-    target: np.ndarray,
-    weights: np.ndarray | None = None,
-    *,
-    has_scale: bool = False,
-) -> Result:
-    """Return the result with the covariance of its pose, and the directions that the clouds leave open.
-
-    Parameters
-    ----------
-    result : Result
-    source, target : (n, d), (m, d) arrays
-    weights : (n_inliers,) array, optional
-        Of the pairs.
-    has_scale : bool
-        Whether the scale was free.
-    """
-    pose, (rows, columns) = result.T_target_source, result.assignment.T
-    matched, moved = source[rows], apply_pose(result.T_target_source, source[rows])
-    return replace(
-        result,
-        covariance=pose_covariance(pose, matched, target[columns], weights, has_scale=has_scale),
-        open_directions=open_directions(moved, target, has_scale=has_scale),
-    )
 
 
 def _scope(problem: Problem, solution: Solution) -> str:

@@ -210,7 +210,7 @@ def test_other_weights_are_refused(stopped):
 
 def test_another_version_is_refused(stopped, monkeypatch):
     monkeypatch.setattr(checkpoint, "__version__", "0.0")
-    with pytest.raises(dcreg.InputError, match=r"written by dcreg .*, and this is 0\.0"):
+    with pytest.raises(dcreg.InputError, match=r"written by dcreg .*, but this is dcreg 0\.0"):
         planar(checkpoint=stopped)
 
 
@@ -251,7 +251,7 @@ def test_a_checkpoint_that_cannot_be_written_does_not_end_the_search(tmp_path, m
     with caplog.at_level(logging.WARNING, "dcreg"):
         found = planar(checkpoint=tmp_path / "c", node_limit=40)
     assert found.status is Status.NODE_LIMIT
-    assert "cannot be written (No space left on device); free some space" in caplog.text
+    assert "cannot be written (No space left on device); the search continues" in caplog.text
 
 
 def test_the_command_continues_and_says_so(tmp_path):

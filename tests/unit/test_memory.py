@@ -67,7 +67,7 @@ def test_a_problem_that_does_not_fit_is_refused_before_the_search(monkeypatch):
     x, y = clouds(1500, 1400, 2)
     message = (
         r"source, target: 1,500 and 1,400 points need about 2\d\d MB of memory, but 20 MB are available; "
-        r"downsample both clouds first \(downsample=200"
+        r"search a sample \(downsample=200"
     )
     with pytest.raises(dcreg.InputError, match=message):
         register(x, y, n_inliers=0.5, model="similarity2d", mode="paper")

@@ -395,7 +395,7 @@ def test_ranges_are_options_of_all_searches(files):
     ran = run(
         "certify", str(files / "pose.txt"), *clouds, *pairs, "--init", str(files / "pose.txt")
     )
-    assert "--init: the given pose is the initial guess" in ran.output
+    assert "--init: certify begins with the pose that it judges" in ran.output
 
 
 def test_a_refuted_residual_has_its_exit_code(files):

@@ -1,0 +1,38 @@
+"""The uncertainty of a result: the covariance of its pose, and open directions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dcreg.problem import apply_pose, open_directions, pose_covariance
+from dcreg.result import Result
+
+
+def with_uncertainty(
+    result: Result,
+    source: np.ndarray,
+    target: np.ndarray,
+    weights: np.ndarray | None = None,
+    *,
+    has_scale: bool = False,
+) -> Result:
+    """Return the result with the covariance of its pose, and the directions that the clouds leave open.
+
+    Parameters
+    ----------
+    result : Result
+    source, target : (n, d), (m, d) arrays
+    weights : (n_inliers,) array, optional
+        Of the pairs.
+    has_scale : bool
+        Whether the scale was free.
+    """
+    pose, (rows, columns) = result.T_target_source, result.assignment.T
+    matched, moved = source[rows], apply_pose(result.T_target_source, source[rows])
+    return replace(
+        result,
+        covariance=pose_covariance(pose, matched, target[columns], weights, has_scale=has_scale),
+        open_directions=open_directions(moved, target, has_scale=has_scale),
+    )
