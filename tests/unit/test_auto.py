@@ -49,7 +49,7 @@ def test_the_evidence_is_in_text_and_json(found):
     content = json.loads(found.to_json())
     evidence = content["chosen_number"]
     assert evidence["compared"][-1]["n_inliers"] == 24
-    assert {"low", "high", "rival"} < set(evidence)
+    assert {"low", "high", "runner_up"} < set(evidence)
     assert content["stages"][0]["stage"] == auto.STAGE
 
 

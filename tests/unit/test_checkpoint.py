@@ -267,7 +267,7 @@ def test_the_command_continues_and_says_so(tmp_path):
     assert run(*call, "--node-limit", "40").exit_code == 3
     continued = run(*call)
     assert continued.exit_code == 0
-    assert f"continuing the search of {tmp_path / 'c'}: 63 nodes" in continued.output.replace(
+    assert f"continuing the search of {tmp_path / 'c'}: 63 boxes" in continued.output.replace(
         "\n", ""
     )
     assert "optimal" in continued.output

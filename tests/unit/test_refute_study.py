@@ -36,6 +36,7 @@ def test_the_summary_counts_answers_by_kind():
     kinds = ["different"] * 4 + ["planted"] * 2
     status = ["refuted", "refuted", "refused", "converged", "met", "refuted"]
     answers = pd.DataFrame({"kind": kinds, "status": status, "cpu_s": [0.5, 2.0, 0.0, 9, 0.1, 1]})
+    answers["is_false"] = [False] * 5 + [True]
     different, planted = study.summary(answers).to_dict("records")
     assert (different["questions"], different["refuted 1 s"], different["refuted 10 s"]) == (
         4,

@@ -335,10 +335,9 @@ class Rigid3D(Poses3D):
 
     def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
         rows = np.flatnonzero(col_of >= 0)
-        weights = self.weights_of(rows, col_of[rows])
+        weights, (source, target) = self.weights_of(rows, col_of[rows]), self.matched(col_of)
         if weights is None:
-            return super().fit_matching(theta, col_of)
-        source, target = self.matched(col_of)
+            return self.fit(source, target)
         return self._parameter(fit_pose(source.T, target.T, (1.0, 1.0), weights))
 
     def weighted(self, weights: PairWeights) -> Self:
