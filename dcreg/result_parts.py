@@ -243,7 +243,9 @@ class ChosenNumber:
             return "not compared with others"
         step = -(-len(self.compared) // _SHOWN)
         shown = ", ".join(f"{k}: {rms:.3g}" for k, rms in self.compared[::-step][::-1])
-        return f"{self.low} to {self.high} fit nearly as well\nRMS residuals of numbers of pairs: {shown}"
+        is_clear = self.low == self.high
+        near = "no other number fits" if is_clear else f"{self.low} to {self.high} pairs fit"
+        return f"{near} nearly as well\nRMS residual by number of pairs: {shown}"
 
 
 @dataclass(frozen=True)
