@@ -15,6 +15,7 @@ import typer
 
 import dcreg
 from data.registry import dataset
+from data.threedmatch.loader import Loader
 from dcreg.problem import rotation_angle_deg
 from dcreg.text import table
 from workflows.studies.refute import feasible_pairs, keypoints
@@ -29,6 +30,7 @@ def main(
 ) -> None:
     """Print a table of questions and answers."""
     loader = dataset("threedmatch")
+    assert isinstance(loader, Loader)
     instance = loader.load(SCENE, "3DMatch", OVERLAP, 0, None)
     source, target = (keypoints(SCENE, int(instance.info[side])) for side in ("src", "ref"))
     clouds = source.points, target.points
@@ -41,11 +43,12 @@ def answers(
     clouds: tuple[np.ndarray, np.ndarray], candidates: np.ndarray, T_true: np.ndarray, limit: float
 ) -> Iterator[tuple[str, str, str]]:
     """Yield questions, answers, and seconds."""
+    source, target = clouds
     given: dict[str, Any] = {"model": "rigid3d", "candidates": candidates, "time_limit": limit}
-    count = dcreg.max_inliers(*clouds, distance=DISTANCE, **given)
+    count = dcreg.max_inliers(source, target, distance=DISTANCE, **given)
     yield f"how many pairs are within {DISTANCE:g} m?", count.answer, f"{count.time_s:.1f} s"
-    k: dict[str, Any] = {"n_inliers": count.at_least}
-    found = dcreg.register(*clouds, **given, **k)
+    problem = {**given, "n_inliers": count.at_least}
+    found = dcreg.register(source, target, **problem)
     error = np.linalg.inv(T_true) @ found.T_target_source
     yield (
         f"which pose matches {count.at_least} pairs best?",
@@ -53,17 +56,17 @@ def answers(
         f"degrees and {np.linalg.norm(error[:3, 3]):.2f} m from the official pose",
         f"{found.time_solve_s:.1f} s",
     )
-    judged = dcreg.certify(*clouds, T_true, **given, **k)
+    judged = dcreg.certify(source, target, T_true, **problem)
     yield (
         "is the official pose optimal?",
         f"{judged.verdict}: its objective is {judged.objective:.3g}, the best one known "
         f"{judged.result.objective:.3g}",
         f"{judged.result.time_solve_s:.1f} s",
     )
-    others = dcreg.alternatives(*clouds, **given, **k)
+    others = dcreg.alternatives(source, target, **problem)
     yield "is the best pose the only one?", others.answer, f"{others.time_s:.1f} s"
     for most in (0.1, 0.01):
-        met = dcreg.register(*clouds, **given, **k, max_rms=most)
+        met = dcreg.register(source, target, **problem, max_rms=most)
         answer = f"{met.status}{': ' * bool(met.reason)}{met.reason}"
         yield (
             f"do {found.n_inliers} pairs fit to {most:g} m (RMS)?",
@@ -71,7 +74,7 @@ def answers(
             f"{met.time_solve_s:.1f} s",
         )
     near = dcreg.PoseRange(max_angle=20.0, around=T_true)
-    limited = dcreg.register(*clouds, **given, **k, pose_range=near)
+    limited = dcreg.register(source, target, **problem, pose_range=near)
     yield (
         "which pose within 20 degrees of it?",
         f"{limited.status}, {limited.bound_ratio:.0%} proven",
