@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from workflows.studies import questions
 from workflows.studies import refute as study
 
 
@@ -45,3 +46,15 @@ def test_the_summary_counts_answers_by_kind():
     )
     assert (different["met"], different["open"], different["false"]) == (0, 1, 0)
     assert (planted["questions"], planted["met"], planted["false"]) == (2, 1, 1)
+
+
+def test_every_question_is_answered_about_one_pair(rng):
+    points, shift = rng.random((14, 3)), np.eye(4)
+    shift[:3, 3] = 1.0
+    answered = dict(
+        row[:2] for row in questions.answers((points, points + 1.0), np.eye(14) > 0, shift, 10.0)
+    )
+    assert answered["how many pairs are within 0.1 m?"].startswith("exactly 14 pairs")
+    assert answered["is the official pose optimal?"].startswith("optimal")
+    assert answered["do 14 pairs fit to 0.01 m (RMS)?"].startswith("optimal")
+    assert len(answered) == 8
