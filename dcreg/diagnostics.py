@@ -15,7 +15,7 @@ import numpy as np
 
 from dcreg.assignment.objective import is_large
 from dcreg.assignment.sparse import nearest_pairs, tree_of
-from dcreg.names import NO_PROOF_EXPECTED
+from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED
 from dcreg.problem import (
     Problem,
     apply_pose,
@@ -123,7 +123,7 @@ def _is_rounding(value: float, case: Case) -> bool:
 def nothing_proven(case: Case) -> str | None:
     """The lower bound is 0, which proves nothing."""
     result = case.result
-    if result.lower_bound > 0.0 or result.is_exact:
+    if result.lower_bound > 0.0 or result.is_exact or result.reason == MAX_RMS_MET:
         return None
     known = "the lower bound is 0, which holds for every sum of squares: nothing is proven"
     if result.status is Status.CONVERGED and result.gap_tol >= result.upper_bound:
@@ -300,9 +300,9 @@ def loose_pairs(case: Case) -> str | None:
     if _was_cut_short(result) or scale_at_limit(case) or other_size(case) or few_pairs(case):
         return None
     return (
-        f"the RMS residual of the pairs is at least {rmse:.3g}, but the point spacing of the target is "
-        f"only {spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be wrong. "
-        "Try a smaller n_inliers (`dcreg sweep` tries several), or remove outliers first"
+        f"at this pose, the RMS residual of the pairs is at least {rmse:.3g}, but the point spacing of "
+        f"the target is only {spacing:.3g}: {result.n_inliers} {TOO_MANY_PAIRS}, and the pose may be "
+        "wrong. Try a smaller n_inliers (`dcreg sweep` tries several), or remove outliers first"
     )
 
 

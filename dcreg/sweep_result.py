@@ -161,8 +161,8 @@ class SweepResult:
             hint = "suggestion: none; pairs were chosen greedily because the time limit was hit"
         elif suggested is None:
             hint = (
-                "suggestion: none; the residuals do not increase sharply between the first and the last "
-                "of these numbers of pairs"
+                "suggestion: none; the smallest or the largest of these numbers of pairs fits best, so a "
+                "number beyond them may fit better"
             )
         else:
             hint = (

@@ -2,7 +2,7 @@
 
 At the right pose the residuals of true pairs are noise; those of further pairs are as large as the
 spacing of the points. The *fractional* RMSE, the RMS residual of the cheapest k pairs divided by a power
-of k, therefore has its minimum near the number of true pairs (after Phillips, Liu and Tomasi 2007).
+of k, therefore has a minimum near the number of true pairs (after Phillips, Liu and Tomasi 2007).
 
 The pose is not known either, but a part of the true pairs suffices to find it. So local searches for few
 numbers (`PROBES`) give poses. From each pose, its best number and the best pose for this number
@@ -162,15 +162,17 @@ class _Fit:
         RMS residuals, in units of the target.
     fractional : (G,) array
         Fractional RMSE of each number.
+    best : int
+        Index of the best number: of the minima of the fractional RMSE, the one with the smallest value.
     value : float
-        By which poses are compared; the smallest one is the best.
+        That of the best number, by which poses are compared; the smallest one is the best.
     """
 
     pose: np.ndarray
     numbers: np.ndarray
     rms: np.ndarray
     fractional: np.ndarray
-
+    best: int
     value: float
 
     @classmethod
@@ -179,12 +181,12 @@ class _Fit:
     ) -> _Fit:
         """Return the fit of these residuals; below `rounding`, all are equally good."""
         least = np.maximum(rms, rounding)
-        value = float((least / numbers**POWER_OF_POSES).min())
-        return cls(pose, numbers, rms, least / numbers**power, value)
-
-    @property
-    def best(self) -> int:
-        return int(self.fractional.argmin())
+        fractional, values = least / numbers**power, least / numbers**POWER_OF_POSES
+        # beyond the true pairs the fractional RMSE increases, but far beyond it can decrease again
+        padded = np.pad(fractional, 1, constant_values=np.inf)
+        is_minimum = (fractional <= padded[:-2]) & (fractional <= padded[2:])
+        best = int(np.where(is_minimum, values, np.inf).argmin())
+        return cls(pose, numbers, rms, fractional, best, float(values[best]))
 
 
 class _Choice(abc.ABC):
@@ -229,7 +231,7 @@ class _Choice(abc.ABC):
             for number, rms in zip(fit.numbers.tolist(), fit.rms, strict=True)
         ]
         # the run of numbers around the best one that fit nearly as well
-        others = np.flatnonzero(fit.fractional > NEARLY * fit.fractional.min())
+        others = np.flatnonzero(fit.fractional > NEARLY * fit.fractional[fit.best])
         first = others[others < fit.best].max(initial=-1) + 1
         last = others[others > fit.best].min(initial=len(compared)) - 1
         low, high = min(chosen, compared[first].n_inliers), max(chosen, compared[last].n_inliers)
@@ -272,7 +274,7 @@ class _Choice(abc.ABC):
         best = self.fit(pose)
         for _ in range(MAX_ROUNDS):
             trial = self.fit(self.refined(best))
-            if trial.fractional.min() >= best.fractional.min():
+            if trial.value >= best.value:
                 break
             best = trial
         return best

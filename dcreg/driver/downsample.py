@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcreg import text
 from dcreg.assignment.descent import polish
 from dcreg.assignment.large import descend, greedy_seconds, near_value, quick_value
 from dcreg.assignment.objective import Matched, is_large, objective, quick_objective
@@ -67,10 +68,21 @@ def to_search(
     if len(source) == len(first.source) and len(target) == len(first.target):
         return problems
     clouds, samples = (first.source, first.target), (source, target)
+    largest = problems[-1]
+    _check_pairs(largest, sampled_pairs(largest.n_inliers, clouds, samples), downsample)
     sample = Problem(source, target, 1, first.model, first.scale_range, pose_range=first.pose_range)
     return [
         sample.with_n_inliers(sampled_pairs(each.n_inliers, clouds, samples)) for each in problems
     ]
+
+
+def _check_pairs(problem: Problem, n_inliers: int, downsample: int) -> None:
+    """Refuse a sample whose pairs fit exactly at wrong poses, too, unless all points have as few."""
+    if n_inliers <= problem.dim and n_inliers < problem.n_inliers:
+        raise InputError(
+            f"downsample: {downsample} points leave {text.count(n_inliers, 'pair')} of "
+            f"{problem.n_inliers}, which determine no pose; give a larger number, such as 200"
+        )
 
 
 def _check(count: int, problem: Problem, certificate: bool) -> None:

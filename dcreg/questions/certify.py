@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -109,7 +110,7 @@ class Certified(Answer):
         share = self.max_improvement / self.objective if self.objective > 0.0 else 0.0
         yield (
             "lower bound",
-            f"{self.lower_bound:.6g}: no pose lowers the objective by more than {text.percent(share)}",
+            f"{self.lower_bound:.6g}: no pose lowers the objective by more than {_percent_above(share)}",
         )
         if self.verdict != OPTIMAL:
             yield (
@@ -216,6 +217,11 @@ def _admissible(T: np.ndarray, problem: Problem) -> np.ndarray:
     if np.abs(nearest - T).max() > _DIGITS * np.abs(T).max():
         raise InputError("pose: outside pose_range; give a larger range, or another pose")
     return nearest
+
+
+def _percent_above(share: float) -> str:
+    """Return a share in per cent, rounded up."""
+    return f"{math.ceil(1000.0 * share - 1e-6) / 10.0:.1f} %"
 
 
 def _judged(

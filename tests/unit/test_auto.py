@@ -53,6 +53,15 @@ def test_the_evidence_is_in_text_and_json(found):
     assert content["stages"][0]["stage"] == auto.STAGE
 
 
+def test_few_true_pairs_among_many_points_are_found():
+    rng = np.random.default_rng(3)
+    source, target = rng.random((60, 3)), rng.random((60, 3))
+    target[:13] = source[:13] + 0.003 * rng.standard_normal((13, 3))
+    found = dcreg.register(source, target, model="rigid3d", time_limit=5.0)
+    assert found.n_inliers == 13
+    assert found.rotation_deg < 2.0
+
+
 def test_all_pairs_of_a_copy_are_matched():
     points = np.random.default_rng(0).random((30, 2))
     result = dcreg.register(points, points + 3.0, model="similarity2d")
