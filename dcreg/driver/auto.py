@@ -51,7 +51,10 @@ from dcreg.search import Budget, Event, Interrupted
 POWER_OF_PAIRS, POWER_OF_NEIGHBOURS, POWER_OF_POSES = 3.0, 1.5, 1.5
 # Shares of the largest possible number of pairs: those with local searches (one for many points, of which
 # a search takes longer), and those that are compared.
-PROBES, PROBES_OF_MANY = (0.45, 0.3), (0.45,)
+PROBES, PROBES_OF_MANY = (0.45, 0.3, 0.18), (0.45,)
+SHARP = (
+    1.5  # ratio of the next fractional RMSE to the best one, above which the last probe is left out
+)
 LEAST, STEP = 0.1, 0.1
 MANY_PAIRS = 40_000  # point pairs from which nearest distances replace one-to-one pairs
 MAX_NUMBERS = 400  # among which the choice is made
@@ -206,6 +209,7 @@ class _Choice(abc.ABC):
         self.rounding = float(np.sqrt(exact_objective(*clouds, most) / most))
         self.numbers = np.array([problem.n_inliers for problem in setup.problems])
         self.n_assignments = 0
+        self.fits: list[_Fit] = []
 
     def nearest(self, shares: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return the indices of the numbers nearest to shares of the largest one."""
@@ -215,7 +219,7 @@ class _Choice(abc.ABC):
     def run(self) -> tuple[int, ChosenNumber, np.ndarray | None]:
         """Return the index of the number among the problems, the evidence for it, and its pose."""
         self.budget.report(Event("heartbeat", STAGE, self.budget.elapsed(), 0, 0, 0, 0.0, np.inf))
-        fits: list[_Fit] = []
+        fits = self.fits
         with suppress(Interrupted):
             for pose in self._poses():
                 fits.append(self._followed(pose))
@@ -254,7 +258,7 @@ class _Choice(abc.ABC):
         moments, apart = Moments.of(self.problem.source), APART * setup.frame.unit
         probes = self.nearest(self.probes)[::-1].tolist()
         for n_left, at in zip(range(len(probes), 0, -1), probes, strict=True):
-            if self.budget.is_over:
+            if self.budget.is_over or (n_left == 1 and self._is_sharp()):
                 return
             normalised = setup.normalised(at, self.budget)
             space = space_of(setup.mode, normalised)
@@ -268,6 +272,13 @@ class _Choice(abc.ABC):
                     yield pose
                 if len(kept) == MAX_POSES:
                     break
+
+    def _is_sharp(self) -> bool:
+        """Tell whether the residuals increase sharply behind the best number of several."""
+        fit = min(self.fits, key=lambda each: each.value, default=None)
+        if fit is None or len(self.probes) == 1 or fit.best + 1 == len(fit.numbers):
+            return False
+        return bool(fit.fractional[fit.best + 1] > SHARP * fit.fractional[fit.best])
 
     def _followed(self, pose: np.ndarray) -> _Fit:
         """Alternate the best number at a pose and the best pose for it while the value falls."""
