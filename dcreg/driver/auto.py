@@ -6,8 +6,9 @@ of k, therefore has a minimum near the number of true pairs (after Phillips, Liu
 
 The pose is not known either, but a part of the true pairs suffices to find it. So local searches for few
 numbers (`PROBES`) give poses. From each pose, its best number and the best pose for this number
-alternate. The pose with the minimum fractional RMSE gives the number. It is also the initial guess of the
-search that follows, which is that of `dcreg.register` with this number. No step of the choice is proven.
+alternate. A smaller power of k compares the poses, and the local minima of each. The best pose gives the
+number. It is also the initial guess of the search that follows, which is that of `dcreg.register` with
+this number. No step of the choice is proven.
 
 The residuals are those of one-to-one pairs, or, for many points, the distances of source points to their
 nearest target points.
@@ -52,9 +53,7 @@ POWER_OF_PAIRS, POWER_OF_NEIGHBOURS, POWER_OF_POSES = 3.0, 1.5, 1.5
 # Shares of the largest possible number of pairs: those with local searches (one for many points, of which
 # a search takes longer), and those that are compared.
 PROBES, PROBES_OF_MANY = (0.45, 0.3, 0.18), (0.45,)
-SHARP = (
-    1.5  # ratio of the next fractional RMSE to the best one, above which the last probe is left out
-)
+SHARP = 1.5  # ratio of the next fractional RMSE to the best one; above, the last probe is left out
 LEAST, STEP = 0.1, 0.1
 MANY_PAIRS = 40_000  # point pairs from which nearest distances replace one-to-one pairs
 MAX_NUMBERS = 400  # among which the choice is made

@@ -131,8 +131,6 @@ class CheckpointFile:
         began = time.monotonic()
         if began < self._due and not at_once:
             return
-        if course.search.is_over and not course.search.n_nodes:
-            return  # the initial poses may be incomplete
         try:
             _write(self._path, {"identity": self._identity, **_state_of(course)})
         except OSError as error:  # not worth the loss of a search

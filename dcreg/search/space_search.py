@@ -130,7 +130,7 @@ def minimise(
         Start(*start), Leaves() if keep_leaves else None,
         Confined(Boxes.of(bound.roots), np.inf),
     )  # fmt: skip
-    course = Course(space, search)
+    course = Course(space, search, is_cut=resumed is None and budget.is_over)
     if resumed is not None:
         resumed.restore(course)
     if not space.is_confirmed:
@@ -156,6 +156,8 @@ class Course:
     ----------
     space : Searchable
     search : Search
+    is_cut : bool
+        Whether a limit ended the search for initial poses. It is then repeated, not continued.
     n_shares : int
         Shares of the cutoff that were tried.
     confined : list of Confined
@@ -170,6 +172,7 @@ class Course:
 
     space: Searchable
     search: Search
+    is_cut: bool = False
     n_shares: int = 0
     confined: list[Confined] = field(default_factory=list)
     abandoned_s: dict[str, float] = field(default_factory=dict)
@@ -179,7 +182,7 @@ class Course:
     def run(self, search: Search, pause: float = np.inf) -> None:
         """Search until a status is set, or until `pause` boxes are bounded; save checkpoints."""
         checkpoint = search.budget.checkpoint
-        if checkpoint is None:
+        if checkpoint is None or self.is_cut:
             search.run(pause)
             return
         while search.status is None and search.n_nodes < pause:

@@ -302,3 +302,16 @@ def test_many_weighted_points_are_refused():
     weights = PointWeights(np.linspace(1.0, 2.0, 1100))
     with pytest.raises(InputError, match="weights: 1100 x 1100 pairs exceed 1,200,000; thin"):
         register(points, points, n_inliers=1100, model="rigid3d", weights=weights)
+
+
+def test_a_light_pair_that_does_not_fit_makes_no_exact_fit(rng):
+    points = rng.random((12, 2))
+    moved = points + 3.0
+    moved[0] += 0.01
+    weights = PointWeights(source=[1e-8, *[1.0] * 11])
+    found = register(points, moved, n_inliers=12, model="similarity2d", weights=weights)
+    assert 0.0 < found.objective < 1e-11
+    assert not found.is_exact
+    assert register(
+        points, points + 3.0, n_inliers=12, model="similarity2d", weights=weights
+    ).is_exact

@@ -204,6 +204,11 @@ def test_another_problem_is_refused(stopped):
         register(source[:9], target[:9], **settings | {"n_inliers": 8}, checkpoint=stopped)
 
 
+def test_a_run_that_ends_within_the_initial_poses_writes_no_file(tmp_path):
+    planar(time_limit=1e-9, checkpoint=tmp_path / "state.npz")
+    assert not (tmp_path / "state.npz").exists()
+
+
 def test_other_weights_are_refused(stopped):
     weights = dcreg.PointWeights(source=[0.5, *[1.0] * 8], distance=1.0)
     with pytest.raises(dcreg.InputError, match=r"another problem \(weights differs\)"):

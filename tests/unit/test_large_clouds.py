@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
+import dcreg
 from dcreg.assignment import large, sparse
 from dcreg.assignment.objective import k_assignment, objective
 from dcreg.driver import downsample
@@ -281,3 +282,15 @@ def test_dense_searches_refuse_what_would_not_fit(rng, dim, options):
 
 def _squared(a, b):
     return ((a[:, None] - b[None]) ** 2).sum(axis=-1)
+
+
+def test_a_sample_whose_pairs_determine_no_pose_is_refused(rng):
+    points = rng.random((40, 2))
+    with pytest.raises(dcreg.InputError, match="downsample: 5 points leave 2 pairs of 20"):
+        dcreg.register(
+            points,
+            points + 1.0,
+            n_inliers=20,
+            model="similarity2d",
+            options=dcreg.SolveOptions(downsample=5),
+        )

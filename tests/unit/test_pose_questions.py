@@ -1,12 +1,16 @@
 """Answers to questions about a pose: their words, files, errors, and the reader of poses."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import dcreg
+from dcreg.cli import commands
+from dcreg.questions.certify import _percent_above
+from dcreg.result_parts import Stage
 from tests.results import run
 
 RNG = np.random.default_rng(0)
@@ -177,6 +181,7 @@ def test_a_residual_is_met_or_refuted(best):
         assert found.status == status
         assert found.warnings == [] or status == "converged"
     assert found.reason == "a pose within max_rms was found"
+    assert not [warning for warning in found.warnings if "nothing is proven" in warning]
 
 
 @pytest.mark.parametrize(
@@ -405,6 +410,28 @@ def test_a_refuted_residual_has_its_exit_code(files):
     )  # fmt: skip
     assert ran.exit_code == 6
     assert "refuted: no rigid pose matches 20 pairs" in ran.output
+
+
+def test_a_residual_that_stays_open_has_the_exit_code_of_a_limit(files, monkeypatch):
+    solved = commands.run_search
+
+    def gives_up(*arguments, **keywords):
+        found = solved(*arguments, **keywords)
+        stages = [Stage("rigid", 0.1, status=dcreg.Status.CONVERGED)]
+        return replace(found, status=dcreg.Status.CONVERGED, lower_bound=0.0, stages=stages)
+
+    monkeypatch.setattr(commands, "run_search", gives_up)
+    ran = run(
+        "register", str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d",
+        "--n-inliers", "20", "--max-rms", "0.001", "--quiet",
+    )  # fmt: skip
+    assert "proof not expected soon" in ran.output
+    assert ran.exit_code == 3
+
+
+def test_what_may_be_gained_is_rounded_up():
+    assert _percent_above(0.00993) == "1.0 %"
+    assert _percent_above(0.5) == "50.0 %"
 
 
 @pytest.mark.parametrize(

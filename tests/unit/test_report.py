@@ -381,6 +381,8 @@ def test_curves_over_time_end_at_the_success_rate(tables, styles):
         assert trace["y"][-1] == pytest.approx(share)
     ratios = [trace for trace in figure.traces if trace["xaxis"] == "x3"]
     assert min(min(trace["x"]) for trace in ratios) == 1.0
+    # also those of a method with another number of pairs refer to the fastest of all methods
+    assert all(max(trace["x"]) > 1.0 for trace in ratios if trace["meta"]["method"] != "icp")
 
 
 def test_outcome_counts_limits_and_missing_poses(tables):
