@@ -185,12 +185,11 @@ def rough_pairs(case: Case) -> str | None:
 
 def distant_pairs(case: Case) -> str | None:
     """Some pairs of large clouds connect distant points, so that better ones may exist."""
-    result, lowest = case.result, case.result.n_inliers * case.lowest_rmse**2
-    if (
-        result.is_greedy
-        or result.objective <= _VAGUE * lowest
-        or _is_rounding(result.objective, case)
-    ):
+    result = case.result
+    if result.is_greedy or _is_rounding(result.objective, case):
+        return None
+    lowest = result.n_inliers * case.lowest_rmse**2
+    if result.objective <= _VAGUE * lowest:
         return None
     return (
         f"the pairs cost {result.objective:.3g}, and any pairs at this pose at least {lowest:.3g}: some "
@@ -294,10 +293,12 @@ def loose_pairs(case: Case) -> str | None:
     scales, or too few pairs.
     """
     problem, result = case.problem, case.result
+    if _was_cut_short(result):
+        return None
     spacing, rmse = median_spacing(problem.target), case.lowest_rmse
     if rmse <= _LOOSE * spacing or spacing == 0.0:
         return None
-    if _was_cut_short(result) or scale_at_limit(case) or other_size(case) or few_pairs(case):
+    if scale_at_limit(case) or other_size(case) or few_pairs(case):
         return None
     return (
         f"at this pose, the RMS residual of the pairs is at least {rmse:.3g}, but the point spacing of "

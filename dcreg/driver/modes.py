@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.assignment.objective import AT_ONCE_PAIRS
+from dcreg.assignment.objective import AT_ONCE_PAIRS, is_large
 from dcreg.driver.feasible import FEASIBLE, refuted_at_once
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.families.mode import Mode, load_mode
@@ -49,6 +49,9 @@ NORM_PAIRS = 4_000_000
 CERTIFIED_PAIRS = 160_000
 # Share of the time for the translation search; the rotation search follows.
 TRANSLATION_SHARE = 0.8
+# Seconds per point that matching and warnings take after both searches of large clouds, and the largest
+# share of the time that is reserved for them.
+ENDING_S, LARGEST_ENDING = 1e-5, 0.75
 ALL_POSES = "all poses"  # the stage of a search that a range of poses does not limit
 
 
@@ -172,6 +175,15 @@ def is_matrix_free(mode: Mode, problem: Problem, bound: str | None) -> bool:
     )
 
 
+def before_matching(mode: Mode, problem: NormalisedProblem) -> Budget:
+    """Return the budget of the searches, after which the points of large clouds are matched."""
+    budget, left = problem.budget, problem.budget.left()
+    n, m = len(problem.source), len(problem.target)
+    if mode.rotation is None or not left or not is_large(n, m):
+        return budget
+    return budget.isolated_sub_budget(1.0 - min(ENDING_S * (n + m) / left, LARGEST_ENDING))
+
+
 def search_share(mode: Mode) -> float:
     """Return the share of the time for the certified search."""
     return 1.0 if mode.rotation is None else TRANSLATION_SHARE
@@ -224,9 +236,12 @@ def compile_cover(mode: Mode) -> None:
 
 def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     """Search the space of the mode, then recover the pose."""
-    budget = problem.budget
-    searching = budget.sub_budget(search_share(mode)).with_patience(problem.patience_s)
-    tries = list(attempts(Attempt(mode, problem), searching))
+    budget = before_matching(mode, problem)
+    # of two stages, each has its own stop flags
+    part = budget.sub_budget if mode.rotation is None else budget.isolated_sub_budget
+    searching = part(search_share(mode))
+    tried = Attempt(mode, replace(problem, budget=searching))
+    tries = list(attempts(tried, searching.with_patience(problem.patience_s)))
     attempt, found = tries[-1]
     space = attempt.space
     solution = Solution(
