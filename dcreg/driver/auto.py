@@ -27,6 +27,7 @@ import numpy as np
 
 from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import greedy_count, tree_of
+from dcreg.driver.checks import norms_only
 from dcreg.driver.modes import choose_mode, find_mode, space_of
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Setup, solve
@@ -85,9 +86,9 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
     if options.bound is not None or options.certificate:
         name = name or choose_mode(problem, options.bound, options.certificate)
     if name is not None:  # before kernels are compiled
-        _check(find_mode(problem.model, name))
+        _check(find_mode(problem.model, name), problem)
     setup = Setup.of(_problems(problem), limits, options)
-    _check(setup.mode)
+    _check(setup.mode, setup.searched[-1])
     is_many = setup.is_sampled or len(problem.source) * len(problem.target) > MANY_PAIRS
     kind = _ByNeighbours if is_many and problem.candidates is None else _ByPairs
     with setup.budget() as budget:
@@ -108,13 +109,12 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
         )
 
 
-def _check(mode: Mode) -> None:
+def _check(mode: Mode, problem: Problem) -> None:
     """Refuse a mode that knows no poses."""
     if mode.in_norm_space:
         raise InputError(
-            "n_inliers: the number can only be chosen by a search over poses, but mode "
-            f"{mode.name!r} searches norms; give a number, or use mode 'full' (at most 4,000,000 point "
-            "pairs, 160,000 with a certificate) without a bound"
+            "n_inliers: the library chooses it by a search over poses; give a number, or change this: "
+            + norms_only(mode, problem)
         )
 
 

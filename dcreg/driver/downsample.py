@@ -228,11 +228,11 @@ def _refined_large(
     poses: list[Pose] = [(first.value, first.T_target_source, first.pairs)]
     ends, spent = [(first.T_target_source, first.value)], first.n_assignments
     before = first.before
-    if not (first.greedy or first.value <= exact_objective(*sizes)):
-        # the pairs of the last pose can be far from the best ones at the first pose, which can be better
-        if (own := quick_pairs(problem, T, budget)) is not None:
-            before, spent = min(before, own[0]), spent + 1
-            poses.append((own[0], T, own[1]))
+    is_rough = not first.greedy and first.value > exact_objective(*sizes)
+    # the pairs of the last pose can be far from the best ones at the first pose, which can be better
+    if is_rough and (own := quick_pairs(problem, T, budget)) is not None:
+        before, spent = min(before, own[0]), spent + 1
+        poses.append((own[0], T, own[1]))
     rounding = rounding_error(*sizes)
     scale = (before + rounding) / (near[0] + rounding)  # both at the pose of the sample
     for other, value in zip(others, near[1:], strict=True):

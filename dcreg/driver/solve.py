@@ -14,6 +14,7 @@ from dcreg.assignment.objective import Matched, is_large, objective, quick_objec
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, warnings_for
+from dcreg.driver.checks import check_mode
 from dcreg.driver.downsample import (
     ALL_POINTS,
     Pose,
@@ -23,7 +24,7 @@ from dcreg.driver.downsample import (
     to_search,
 )
 from dcreg.driver.memory import advance_notice, check_memory, estimated_memory
-from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
+from dcreg.driver.modes import choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution, in_input_units
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.uncertainty import with_uncertainty

@@ -120,12 +120,19 @@ def test_a_stopped_choice_still_gives_a_pose():
         ({"max_rms": 0.1}, "n_inliers: max_rms needs a number of pairs"),
         ({"options": dcreg.SolveOptions(mode="paper")}, "mode 'paper' searches norms"),
         ({"options": dcreg.SolveOptions(bound="dc")}, "mode 'paper' searches norms"),
+        (
+            {"options": dcreg.SolveOptions(downsample=4000)},
+            "2,500 x 2,500 points are too many",
+        ),
         ({"n_inliers": "most"}, "n_inliers: 'most' is not a number; give a count, a fraction or"),
     ],
 )
 def test_what_cannot_work_is_refused_before_the_search(settings, words):
+    clouds, options = CLOUDS["rigid3d"], settings.get("options")
+    if options is not None and options.downsample:
+        clouds = [np.random.default_rng(0).random((2500, 3))] * 2
     with pytest.raises(InputError, match=words):
-        dcreg.register(*CLOUDS["rigid3d"], model="rigid3d", **settings)
+        dcreg.register(*clouds, model="rigid3d", **settings)
 
 
 def test_command_and_batch_choose_the_number(tmp_path):

@@ -224,7 +224,7 @@ def test_another_version_is_refused(stopped, monkeypatch):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"mode": "paper"}, "mode 'paper' of rigid3d .*; use mode 'full'"),
+        ({"mode": "paper"}, "mode 'paper' searches norms, .*; use mode 'full'"),
         ({"pose_range": dcreg.PoseRange(max_angle=20.0)}, "limits of angle or translation"),
         ({"checkpoint": "nowhere/a.npz"}, "no folder 'nowhere'; create it first"),
         ({"checkpoint": 3}, "3 is not a path"),
