@@ -103,7 +103,7 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
             stages=[stage, *result.stages],
             n_assignments=result.n_assignments + choice.n_assignments,
             warnings=[
-                *choice_warnings(result.n_inliers, chosen, setup.problems[0].n_inliers),
+                *choice_warnings(result.n_inliers, chosen, setup.problems),
                 *result.warnings,
             ],
         )
@@ -129,14 +129,16 @@ def _problems(problem: Problem) -> list[Problem]:
     return [largest.with_n_inliers(int(k)) for k in numbers]
 
 
-def choice_warnings(n_inliers: int, chosen: ChosenNumber, least: int) -> Iterator[str]:
+def choice_warnings(
+    n_inliers: int, chosen: ChosenNumber, problems: Sequence[Problem]
+) -> Iterator[str]:
     """Yield a warning where the evidence for a number of pairs is weak."""
     if not chosen.compared:
         yield (
             "no numbers of pairs were compared before the search was stopped or the time was over, so "
             f"n_inliers={n_inliers} is a guess. {_REMEDY}"
         )
-    elif n_inliers == least:
+    elif n_inliers == problems[0].n_inliers < problems[-1].n_inliers:
         yield f"n_inliers={n_inliers} is the smallest number that was compared. {_REMEDY}"
     elif chosen.high > UNCERTAIN * chosen.low:
         yield (
