@@ -74,7 +74,7 @@ def solve(setup: Setup, at: int, budget: Budget, init: np.ndarray | None = None)
     solution = run_mode(setup.mode, normalised)
     solution.events = budget.history
     result = Finish(setup, at, normalised, budget, searching).result(solution)
-    return replace(result, time_solve_s=budget.elapsed())
+    return replace(result, time_solve_s=budget.elapsed(), time_earlier_s=budget.earlier_s)
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Setup:
         chosen = mode or find_mode(largest.model, name)
         check_mode(chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms)
         limits.check(largest.n_inliers)
-        memory = estimated_memory(problems[-1], largest, chosen, bound)
+        memory = estimated_memory(problems[-1], largest, chosen, bound, len(problems))
         check_memory(memory, problems[-1])
         if notice := advance_notice(memory, problems[-1], limits.time_s):
             _LOGGER.info(notice)

@@ -290,8 +290,7 @@ def _check(
         )
     if options.certificate:
         raise InputError("certificate: a search for alternatives keeps none; omit it")
-    if options.checkpoint is not None:
-        raise InputError("checkpoint: only register and certify save one; omit it")
+    options.refuse_checkpoint()
 
 
 def _described(setup: Setup, result: Result, T: np.ndarray, value: float) -> Alternative:

@@ -92,8 +92,14 @@ def test_a_search_stopped_by_boxes_continues_to_the_same_result(search, tmp_path
         found = solve(node_limit=stop, checkpoint=path, threads=1 + at % 2)
         assert found.status is Status.NODE_LIMIT
         assert stop <= found.n_nodes < expected.n_nodes
+    earlier_s = found.time_solve_s
+    assert found.time_earlier_s > 0.0
     found = solve(checkpoint=path)
     assert_same(found, expected)
+    assert expected.time_earlier_s == 0.0 < found.time_earlier_s < found.time_solve_s
+    assert found.time_earlier_s == pytest.approx(earlier_s, rel=0.5)
+    assert "s for the solve in all calls (" in str(found)
+    assert "in all calls" not in str(expected)
     changes = [
         [(each.n_nodes, each.lower_bound, each.upper_bound) for each in result.trace]
         for result in (found, expected)
