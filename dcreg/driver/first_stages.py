@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 
+from dcreg.assignment.objective import is_large
 from dcreg.driver.downsample import ALL_POINTS
 from dcreg.families.mode import Mode
 from dcreg.problem import Problem
@@ -19,8 +20,9 @@ INITIAL_POSES = "initial poses"
 _POINT_S, _MOST_S, _PAIR_S = 4e-3, 2.1, 2e-6
 # In 2D: of `_FLAT_PAIRS` pairs of points, and the power with which it grows.
 _FLAT_S, _FLAT_PAIRS, _FLAT_POWER = 0.08, 1e4, 1.2
-# On all points: per point of the larger cloud, also of huge clouds, for which there is one matching.
-_SEVERAL_S, _ONE_S, _ONE_FROM = 1e-4, 2.8e-5, 40_000
+# On all points: of the cube of the larger size, for a dense matching; per point of the larger cloud;
+# and of huge ones, for which there is one matching.
+_DENSE_S, _SEVERAL_S, _ONE_S, _ONE_FROM = 6e-10, 1e-4, 4.5e-5, 40_000
 _PROBE_POINTS, _PROBE_S = 200_000, 2.1e-3
 
 
@@ -47,8 +49,10 @@ def first_stages(problem: Problem, searched: Problem, mode: Mode) -> dict[str, f
     elif not mode.in_norm_space:
         found[INITIAL_POSES] = factor * (min(_MOST_S, _POINT_S * min(n, m)) + _PAIR_S * n * m)
     if searched is not problem:
-        larger = max(len(problem.source), len(problem.target))
-        found[ALL_POINTS] = factor * larger * (_SEVERAL_S if larger <= _ONE_FROM else _ONE_S)
+        n, m = len(problem.source), len(problem.target)
+        larger = max(n, m)
+        seconds = larger * (_SEVERAL_S if larger <= _ONE_FROM else _ONE_S)
+        found[ALL_POINTS] = factor * (seconds if is_large(n, m) else _DENSE_S * larger**3)
     return found
 
 
