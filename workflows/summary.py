@@ -22,6 +22,7 @@ from workflows import records
 from workflows.archives import archived
 from workflows.compose import QUICK, ConfigError
 from workflows.config import Experiment, MethodSettings, load
+from workflows.labels import distinct
 from workflows.metrics import METRICS
 from workflows.outcomes import attempted, comparable_times
 from workflows.stages.plan import Plan, PlannedRun, expand
@@ -61,17 +62,12 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     return table.reset_index()
 
 
-def _distinct_names(runs: pd.DataFrame) -> pd.DataFrame:
-    """Add the names of methods that share a displayed name."""
-    shared = runs.groupby("display_name")["method"].transform("nunique") > 1
-    both = runs["display_name"] + " [" + runs["method"] + "]"
-    return runs.assign(display_name=runs["display_name"].mask(shared, both))
-
-
 def print_summary(folder: Path, console: Console | None = None) -> None:
     """Print results per method and test, runs without a result and why, and the path of the report."""
     console = console or Console(width=None if os.isatty(1) else 120)
-    runs = _distinct_names(records.read(folder / "tables" / "runs.parquet", records.runs_columns()))
+    runs = records.read(folder / "tables" / "runs.parquet", records.runs_columns())
+    names = distinct(dict(zip(runs["method"], runs["display_name"], strict=True)))
+    runs = runs.assign(display_name=runs["method"].map(names))
     for model, part in summarise(runs).groupby("model", sort=False):
         console.print(_table(str(model), part))
     console.print(
