@@ -82,6 +82,11 @@ evidence: setup
 archive: setup
 	@$(BIN)/python -m reports archive $(if $(VERSION),--version $(VERSION))
 
+## snakemake-report: write Snakemake's own report on the finished experiment CONFIG=…: jobs, times, results
+.PHONY: snakemake-report
+snakemake-report: setup
+	@$(BIN)/python -m workflows snakemake-report $(CONFIG)
+
 ## report: build all pages from an archive without a run, ARCHIVE=version|folder|zip file|address (SHA256=… of a zip file)
 .PHONY: report
 report: setup

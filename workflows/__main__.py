@@ -131,6 +131,24 @@ def run(
     summary(folder / plan.view)
 
 
+@app.command("snakemake-report")
+@user_errors
+def snakemake_report(
+    experiment: Experiment,
+    directory: Annotated[Path, typer.Option(help="Folder that contains results/.")] = CHECKOUT,
+) -> None:
+    """Write Snakemake's own report on a finished experiment: jobs, run times, results with captions."""
+    from workflows.running import snakemake_report as write
+
+    plan = planned(experiment)
+    name = plan.experiment.name
+    if Path(experiment).is_file():
+        experiment = str(Path(experiment).resolve())
+    out = directory / "results" / name / "snakemake-report.html"
+    write(directory, name, [f"experiment={experiment}"], out)
+    say(f"report    {out} ({out.stat().st_size / 1e6:.1f} MB)")
+
+
 @app.command()
 @user_errors
 def summary(folder: Folder) -> None:

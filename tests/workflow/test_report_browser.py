@@ -138,6 +138,32 @@ def test_first_screen_is_the_outcome(page):
     assert max(times) > 1.0  # limits and missing poses count twice the limit
 
 
+def test_two_methods_are_compared(page):
+    element = drawn(page, "versus")
+    both = page.execute_script("return payload('versus')")["comparisons"][1]
+    a, b = (both["methods"].index(name) for name in ("dcreg-full", "fgr"))
+    redrawn(page, element, "[data-for=versus][data-pick=model]", "c.value = '1'")
+    for side, place in (("a", a), ("b", b)):
+        chosen = f"c.value = '{both['methods'][place]}'"
+        redrawn(page, element, f"[data-for=versus][data-pick={side}]", chosen)
+    won, equal, lost, _ = both["counts"]["right"][a][b]
+    answer = page.find_element("css selector", "#versus-answer").text
+    assert answer.startswith(
+        f"On {won + equal + lost} instances, only DC-Reg [dcreg-full] is right on"
+    )
+    rows = page.execute_script("return $$('#versus-differ tbody tr').map(row => row.innerText)")
+    assert len(rows) == won + lost
+    links = page.execute_script("return $$('#versus-differ a').map(a => a.hash)")
+    runs = {f"#run={run}" for place in (a, b) for run in both["runs"][place]["run"]}
+    assert len(set(links)) == 2 * len(rows)
+    assert set(links) <= runs
+    before = page.execute_script(f"return {element}.dataset.drawn")
+    page.find_element("id", "versus-swap").click()
+    wait(page, f"{element}.dataset.drawn !== '{before}'")
+    assert column(page, "versus-counts", 1)[0] == str(lost)
+    assert column(page, "versus-counts", 3)[0] == str(won)
+
+
 def test_sorting_puts_missing_values_last_both_ways(page):
     head = page.find_elements("css selector", "#summary thead th button")[5]
     for way in ("ascending", "descending"):
