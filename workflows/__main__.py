@@ -285,13 +285,16 @@ def baselines() -> None:
 @app.command()
 @user_errors
 def new_baseline(
-    name: Annotated[str, typer.Argument(help="Name of the new folder of baselines/.")],
+    name: Annotated[str, typer.Argument(help="Name of the new method.")],
+    folder: Annotated[Path, typer.Option("--in", help="Folder of methods.")] = CHECKOUT
+    / "baselines",
 ) -> None:
-    """Create ``baselines/NAME`` from the template."""
-    from baselines import registry
+    """Create the folder of a method from the template, in ``baselines/`` or elsewhere."""
+    from baselines import template
 
-    registry.new_baseline(name)
-    print(registry.next_steps(name))
+    root = folder.expanduser().resolve()
+    template.new_baseline(name, root)
+    print(template.next_steps(name, root))
 
 
 app.add_typer(commands.app)
