@@ -99,3 +99,13 @@ def _plugin(point: metadata.EntryPoint) -> Plugin:
     name, version = (point.dist.name, point.dist.version) if point.dist else ("unknown", "")
     entry = f"entry point {point.name} = {point.value} of {point.group}"
     return Plugin(point.name, point.module, name, f"package {name} {version} ({entry})")
+
+
+def files_of(plugin: Plugin) -> list[Path]:
+    """Return all files of the package of a plug-in but compiled ones; none if it is missing."""
+    try:
+        package = plugin.package
+    except PluginError:
+        return []
+    paths = sorted(package.rglob("*")) if package.is_dir() else [package]
+    return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]
