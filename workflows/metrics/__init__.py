@@ -1,8 +1,8 @@
 """All quality metrics, computed by the harness from the pose and the ground truth alone.
 
 Every module of this package is imported. A function with the decorator `metric` becomes a column of
-``tables/runs``, so a new metric is one file here. Adding one repeats no run. Installed packages add modules
-with metrics by the entry points of the group ``dcreg.metrics`` (`dcreg.plugins`).
+``tables/runs``, so a new metric is one file here. Adding one repeats no run. Installed packages add
+modules with metrics by the entry points of the group ``dcreg.metrics`` (`dcreg.plugins`).
 """
 
 import sys
