@@ -103,6 +103,12 @@ def _result(check: Callable[[], None], words: str) -> tuple[str, str, str]:
     return OK, words, ""
 
 
+def _place(method: Candidate) -> str:
+    if method.root is None:
+        return registry.origin_of(method.name)
+    return registry.shown(method.root / method.name)
+
+
 def main(texts: Sequence[str]) -> int:
     """Print a line per rule and a summary per method; return the exit code."""
     if not texts or texts[0] in ("-h", "--help"):
@@ -115,7 +121,7 @@ def main(texts: Sequence[str]) -> int:
         return 2
     n_broken = 0
     for method in methods:
-        print(f"{method.name} ({registry.shown(registry.folder_of(method.name, method.root))})")
+        print(f"{method.name}: {_place(method)}")
         counts = dict.fromkeys((OK, SKIPPED, BROKEN), 0)
         for result, words, reason in results(method):
             counts[result] += 1

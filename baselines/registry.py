@@ -156,17 +156,17 @@ def read_card(name: str, root: Path | None = None) -> Card:
     """Return the validated ``card.yaml`` of method `name`."""
     path = folder_of(name, root) / "card.yaml"
     try:
-        facts = _parsed(path.read_text(encoding="utf-8"))
+        content = _parsed(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise BaselineError(
             f"{shown(path)}: missing; copy it from baselines/_template/card.yaml"
         ) from error
     except NOT_YAML as error:
         raise BaselineError(f"{shown(path)}: not valid YAML: {error}") from error
-    if not isinstance(facts, dict):
-        raise BaselineError(f"{shown(path)}: must be a mapping of fields, is {facts!r}")
+    if not isinstance(content, dict):
+        raise BaselineError(f"{shown(path)}: must be a mapping of fields, is {content!r}")
     try:
-        return Card.model_validate(facts)
+        return Card.model_validate(content)
     except ValidationError as error:
         raise BaselineError(_card_message(path, error)) from error
     except TypeError as error:  # a range of what is not a number
@@ -203,10 +203,11 @@ def availability(root: Path | None = None) -> list[dict[str, Any]]:
 
     The row of a method that cannot be loaded has the reason only.
     """
-    return [_facts(name, root) for name in names(root)]
+    return [facts(name, root) for name in names(root)]
 
 
-def _facts(name: str, root: Path | None) -> dict[str, Any]:
+def facts(name: str, root: Path | None = None) -> dict[str, Any]:
+    """Return the row of a method."""
     try:
         method = load(name, root=root)
         card, reason = method.card, method.available()
