@@ -10,8 +10,8 @@ from pathlib import Path
 
 from data.contract import DataError
 from data.library.evaluate import admissible, evaluate
-from data.library.problem import HERE, PROBLEMS, LibraryError, Problem, read_problem
 from data.library.matchings import best_of_all_matchings
+from data.library.problem import HERE, PROBLEMS, LibraryError, Problem, read_problem
 from data.library.record import LAST_DIGITS, PROOFS, Enumeration, Record, read_record
 from data.library.submit import checked_proof, proof_path
 from dcreg.files import write_text

@@ -19,6 +19,7 @@ class Enumerated(NamedTuple):
     """The optimum over all matchings, each with its best pose in closed form."""
 
     optimum: float
+    pose: np.ndarray
     n_optima: int  # distinct poses that attain it
     n_matchings: int
 
@@ -32,11 +33,11 @@ def best_of_all_matchings(problem: Problem) -> Enumerated:
             x, y = source[rows], target[columns]
             pose = fit_pose(x, y, problem.scale_range)
             fits.append((float(((apply_pose(pose, x) - y) ** 2).sum()), pose))
-    optimum = min(value for value, _ in fits)
+    optimum, best = min(fits, key=lambda fit: fit[0])
     distinct: list[np.ndarray] = []
     for value, pose in fits:
         if value <= optimum * (1 + SAME_VALUE):
             moved = apply_pose(pose, source)
             if all(np.abs(moved - other).max() > SAME_POSE for other in distinct):
                 distinct.append(moved)
-    return Enumerated(optimum, len(distinct), len(fits))
+    return Enumerated(optimum, best, len(distinct), len(fits))

@@ -110,6 +110,10 @@ class Record(BaseModel):
         return [entry for entry in self.entries if isinstance(entry, BoundEntry)]
 
     @property
+    def solves(self) -> list[SolveEntry]:
+        return [entry for entry in self.entries if isinstance(entry, SolveEntry)]
+
+    @property
     def best_pose(self) -> PoseEntry | None:
         return min(self.poses, key=lambda entry: entry.objective, default=None)
 
@@ -154,10 +158,10 @@ class Record(BaseModel):
 
     def easy_solve(self) -> SolveEntry | None:
         """Return a solve with default options that took at most 60 s, if there is one."""
-        for entry in self.entries:
-            is_default = isinstance(entry, SolveEntry) and not entry.options
-            if is_default and entry.status == "optimal" and entry.cpu_s <= EASY_CPU_S:
-                return entry
+        for solve in self.solves:
+            is_proof = solve.status == "optimal" and not solve.options
+            if is_proof and solve.cpu_s <= EASY_CPU_S:
+                return solve
         return None
 
     def status(self, problem: Problem) -> Status:

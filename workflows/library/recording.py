@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 
@@ -27,6 +28,15 @@ from data.library.record import (
 from data.library.submit import stored_proof
 from dcreg.assignment.descent import polish
 from workflows.library.solve import ANSWERS, Answer, read_answer
+
+
+class Author(TypedDict):
+    """Who found something, when and how."""
+
+    by: str
+    date: str
+    how: str
+
 
 BETTER = 1e-7  # relative; smaller improvements are rounding
 
@@ -68,23 +78,25 @@ def _with_poses(problem: Problem, record: Record, answers: Path) -> Record:
         pose, *_ = polish(stated, np.array(problem.truth.pose))
         found.append((pose, "local search from the true pose", date, by))
     for given, how, date, by in found:
-        pose = admissible(problem, given)
-        value = evaluate(problem, pose)
-        if value < record.objective * (1 - BETTER):
-            record = record.with_entries(
-                PoseEntry(by=by, date=date, how=how, objective=value, pose=pose.tolist())
-            )
+        record = _with_better_pose(problem, record, given, {"by": by, "date": date, "how": how})
     return record
+
+
+def _with_better_pose(
+    problem: Problem, record: Record, given: np.ndarray, author: Author
+) -> Record:
+    """Add a pose, unless the best known one is as good."""
+    pose = admissible(problem, given)
+    value = evaluate(problem, pose)
+    if value >= record.objective * (1 - BETTER):
+        return record
+    return record.with_entries(PoseEntry(**author, objective=value, pose=pose.tolist()))
 
 
 def _with_solve(record: Record, answer: Answer) -> Record:
     """Add a solve, unless the same version and options already did as well."""
     by = f"dcreg {answer.version}"
-    done = [
-        entry
-        for entry in record.entries
-        if isinstance(entry, SolveEntry) and (entry.by, entry.options) == (by, answer.options)
-    ]
+    done = [entry for entry in record.solves if (entry.by, entry.options) == (by, answer.options)]
     if any(entry.status == "optimal" or entry.cpu_s >= round(answer.cpu_s, 3) for entry in done):
         return record
     return record.with_entries(
@@ -122,17 +134,17 @@ def _with_optima(problem: Problem, record: Record) -> Record:
     """
     if record.optima is not None or record.best_pose is None:
         return record
-    stated = {"by": f"dcreg {dcreg.__version__}", "date": record.best_pose.date}
+    by, date = f"dcreg {dcreg.__version__}", record.best_pose.date
     if problem.family == "tiny":
-        found, how = best_of_all_matchings(problem), "all matchings were tried"
+        found = best_of_all_matchings(problem)
+        author: Author = {"by": by, "date": date, "how": "all matchings were tried"}
+        record = _with_better_pose(problem, record, found.pose, author)
         if not record.is_proven(problem):
             proof = Enumeration(n_matchings=found.n_matchings)
             bound = found.optimum * (1 - LAST_DIGITS)
-            record = record.with_entries(
-                BoundEntry(**stated, how=how, lower_bound=bound, proof=proof)
-            )
-        return record.with_entries(OptimaEntry(**stated, how=how, count=found.n_optima))
+            record = record.with_entries(BoundEntry(**author, lower_bound=bound, proof=proof))
+        return record.with_entries(OptimaEntry(**author, count=found.n_optima))
     if problem.planted_optima and record.is_proven(problem):
-        how = "by the symmetries of the construction"
-        return record.with_entries(OptimaEntry(**stated, how=how, count=problem.planted_optima))
+        author = {"by": by, "date": date, "how": "by the symmetries of the construction"}
+        return record.with_entries(OptimaEntry(**author, count=problem.planted_optima))
     return record
