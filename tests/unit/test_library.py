@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import jsonschema
 import numpy as np
+import pandas as pd
 import pytest
 
 import dcreg
@@ -207,7 +208,8 @@ def claim(pose, objective=None):
 def test_a_better_pose_is_accepted_once(place):
     best = RECORDS[ONE.id].best_pose
     outcome = submitted(place, **claim(best.pose))
-    assert outcome.refused == [] and "pose with objective" in outcome.accepted[0]
+    assert outcome.refused == []
+    assert "pose with objective" in outcome.accepted[0]
     assert read_record(ONE.id, place).objective == pytest.approx(best.objective, rel=1e-9)
     assert "is not below the best known one" in submitted(place, **claim(best.pose)).refused[0]
     assert len(read_record(ONE.id, place).entries) == 2
@@ -226,7 +228,8 @@ def test_false_poses_are_refused_with_the_reason(place):
         (shrunk, 0.01, r"its scale is 0.3, outside scale_range"),
     ):
         outcome = submitted(place, **claim(pose, objective))
-        assert outcome.accepted == [] and reason in outcome.refused[0]
+        assert outcome.accepted == []
+        assert reason in outcome.refused[0]
     assert len(read_record(ONE.id, place).entries) == 1
 
 
@@ -279,7 +282,7 @@ def test_false_bounds_are_refused_with_the_reason(place):
 def test_a_submission_says_what_is_wrong_with_it(place):
     with pytest.raises(LibraryError, match="give at least one of them"):
         submitted(place)
-    with pytest.raises(LibraryError, match="better_pose.objective: Field required"):
+    with pytest.raises(LibraryError, match=r"better_pose\.objective: Field required"):
         submitted(place, better_pose={"pose": [[1.0]]})
 
 
@@ -323,13 +326,12 @@ def test_verdicts_of_a_method():
     }
     found = {name: row["verdict"] for name, row in verdicts.items()}
     assert found == {**{name: name for name in verdicts}, "too high": "wrong"}
-    import pandas as pd
-
     text = summary("method", pd.DataFrame(list(verdicts.values())), 1.0)
     assert "solved: 0% in 0.1 s, 0% in 0.3 s, 33% in 1 s" in text
 
 
 def test_a_method_receives_neither_pose_nor_pairs():
     instance = instance_of(ONE)
-    assert instance.oracle_pairs is None and instance.matches == {}
+    assert instance.oracle_pairs is None
+    assert instance.matches == {}
     assert instance.noise_bound > 0.0

@@ -119,7 +119,8 @@ def summary(name: str, table: pd.DataFrame, limit_s: float) -> str:
         .assign(problems=lambda found: found.sum(axis=1))
     )
     right = table[table["verdict"].isin(("proven", "solved"))]
-    counts["median gap"] = table.groupby("library_status")["gap"].median().map("{:.2%}".format)
+    gaps = table.groupby("library_status")["gap"].median()
+    counts["median gap"] = gaps.map(lambda gap: "none" if np.isnan(gap) else f"{gap:.2%}")
     counts["median time, s"] = right.groupby("library_status")["time_s"].median().round(3)
     shares = ", ".join(
         f"{(right['time_s'] <= at).sum() / len(table):.0%} in {at:g} s"
