@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -94,6 +95,8 @@ def run(
         plan = planned(experiment, select, path)
     else:
         plan = planned(experiment, select)
+    from workflows.stages.plan import size_notes
+
     name = plan.experiment.name
     folder = directory / "results" / name
     jobs = 1 if timing else os.cpu_count() or 1 if cores == "all" else int(cores)
@@ -108,6 +111,8 @@ def run(
         f"and {len(plan.methods)} methods",
         flush=True,
     )
+    for note in size_notes(plan):
+        print(f"points    {note}", flush=True)
     if Path(experiment).is_file():
         experiment = str(Path(experiment).resolve())
     if cores == "all" and any(each.is_remote for each in profiles):
@@ -305,13 +310,16 @@ def baselines() -> None:
 @app.command()
 @user_errors
 def new_baseline(
-    name: Annotated[str, typer.Argument(help="Name of the new folder of baselines/.")],
+    name: Annotated[str, typer.Argument(help="Name of the new method.")],
+    folder: Annotated[Path, typer.Option("--in", help="Folder of methods.")] = CHECKOUT
+    / "baselines",
 ) -> None:
-    """Create ``baselines/NAME`` from the template."""
-    from baselines import registry
+    """Create the folder of a method from the template, in ``baselines/`` or elsewhere."""
+    from baselines import template
 
-    registry.new_baseline(name)
-    print(registry.next_steps(name))
+    root = folder.expanduser().resolve()
+    template.new_baseline(name, root)
+    print(template.next_steps(name, root))
 
 
 app.add_typer(commands.app)
@@ -321,8 +329,10 @@ def _store_needs(experiment: str, methods: list[str], directory: Path) -> Path:
     """Store the archived blocks of an experiment, with one's own methods; return the file."""
     from workflows.beside import needs_beside
     from workflows.blocks import EVIDENCE, NEEDS, Needs
+    from workflows.config import with_methods
 
     plan = planned(experiment)
+    plan = replace(plan, methods=tuple(with_methods(plan.experiment, methods).methods))
     path = directory / "results" / plan.experiment.name / EVIDENCE / NEEDS
     known = Needs.read(path) if path.is_file() else Needs({})
     needs_beside(plan, methods, known).write(path)

@@ -50,7 +50,7 @@ def context(page: Page) -> dict[str, Any]:
         "groups": groups,
         "count": len(rest),
         "planned": len(runs),
-        "replay": page.tables.provenance.get("replay", ""),
+        "replay": _prefix(page.tables.provenance.get("replay", "")),
     }
 
 
@@ -64,3 +64,8 @@ def _reason(status: str, message: str, card: dict[str, Any]) -> str:
     if limit := limits_of(card).get(status):
         return f"hit its limit of {limit}" + (f" ({message})" if message else "")
     return message or "no reason given"
+
+
+def _prefix(command: str) -> str:
+    """Return a command with what separates it from the run: nothing after ``RUN=``."""
+    return command if command.endswith("=") or not command else f"{command} "
