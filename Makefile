@@ -87,10 +87,10 @@ archive: setup
 report: setup
 	@$(BIN)/python -m reports archived $(ARCHIVE) $(if $(SHA256),--sha256 $(SHA256))
 
-## replay: repeat a stored run, RUN=run_id, and say whether the result is the same
+## replay: repeat a stored run, RUN=run_id, and compare (RESULTS=folder; BOXES=1: a page with the boxes of its search)
 .PHONY: replay
 replay: setup
-	@$(BIN)/python -m workflows replay $(RUN)
+	@$(BIN)/python -m $(if $(BOXES),reports boxes,workflows replay) $(RUN) $(if $(RESULTS),--results $(RESULTS))
 
 ## plan: print the runs of CONFIG=… and their estimated time without running them
 .PHONY: plan

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from baselines import registry
+from baselines.contract import Baseline, Instance, Solution
 from workflows import UserError, archives, records
-from workflows.config import load, origin
+from workflows.config import Experiment, load, origin
 from workflows.instances import content_digest
 from workflows.stages.generate import instance_of
 from workflows.stages.plan import Plan, PlannedRun, expand
@@ -45,37 +47,67 @@ def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -
     UserError
         There is no such run, or the method is not available.
     """
-    stored = _stored(run_id, results)
-    if stored is not None:
-        experiment = experiment or stored["experiment"]
-    if not experiment:
-        raise UserError(
-            f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
-            "tables/runs.csv, or name its experiment with --experiment"
-        )
-    plan = expand(load(experiment), None, origin(experiment), None)
-    run = next((run for run in plan.runs() if run.run_id == run_id), None)
-    if run is None:
-        raise UserError(
-            f"experiment {plan.experiment.name}: no run {run_id!r}; take one from column run_id of its "
-            "tables/runs.csv"
-        )
-    return _repeated(plan, run, stored)
+    repetition = Repetition.of(run_id, experiment, results)
+    repetition.method.warm_up(repetition.instance)
+    return repetition.result()
 
 
-def _repeated(plan: Plan, run: PlannedRun, stored: dict[str, Any] | None) -> dict[str, Any]:
-    instance = instance_of(
-        run.instance,
-        run.method.n_inliers_ratio,
-        plan.experiment.seed,
-        registry.oracle_outliers(run.method.baseline, run.method.options),
-        run.method.n_points,
-    )
-    method = registry.load(run.method.baseline, **run.method.options)
-    if reason := method.available() or method.supports(instance):
-        raise UserError(f"{run.method.name}: {reason}")
-    method.warm_up(instance)
-    solution = method.solve(instance, plan.experiment.limits_of(run.method).of_run())
+@dataclass(frozen=True)
+class Repetition:
+    """A run to repeat: its plan, its instance, its method, and the stored run if there is one."""
+
+    plan: Plan
+    run: PlannedRun
+    instance: Instance
+    method: Baseline
+    stored: dict[str, Any] | None
+
+    @classmethod
+    def of(cls, run_id: str, experiment: str = "", results: Path = Path("results")) -> Repetition:
+        """Find a run and make its instance again; see `replay`."""
+        stored, folder = _stored(run_id, results)
+        if not experiment and stored is None:
+            raise UserError(
+                f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
+                "tables/runs.csv, or name its experiment with --experiment"
+            )
+        plan = _plan(experiment, stored, folder)
+        run = next((run for run in plan.runs() if run.run_id == run_id), None)
+        if run is None:
+            raise UserError(
+                f"experiment {plan.experiment.name}: no run {run_id!r}; take one from column run_id of "
+                "its tables/runs.csv"
+            )
+        instance = instance_of(
+            run.instance,
+            run.method.n_inliers_ratio,
+            plan.experiment.seed,
+            registry.oracle_outliers(run.method.baseline, run.method.options),
+            run.method.n_points,
+        )
+        method = registry.load(run.method.baseline, **run.method.options)
+        if reason := method.available() or method.supports(instance):
+            raise UserError(f"{run.method.name}: {reason}")
+        return cls(plan, run, instance, method, stored)
+
+    def result(self) -> dict[str, Any]:
+        """Solve the instance again by the warm method and compare; see `replay`."""
+        limits = self.plan.experiment.limits_of(self.run.method).of_run()
+        return _compared(self, self.method.solve(self.instance, limits))
+
+
+def _plan(experiment: str, stored: dict[str, Any] | None, folder: Path) -> Plan:
+    """Return the plan of the config that is named, or else of the one recorded with the run."""
+    path = folder / "provenance.json"
+    if not experiment and path.is_file():
+        recorded = json.loads(path.read_text(encoding="utf-8"))["config"]
+        return expand(Experiment.model_validate(recorded))
+    name = experiment or str((stored or {})["experiment"])
+    return expand(load(name), None, origin(name), None)
+
+
+def _compared(repetition: Repetition, solution: Solution) -> dict[str, Any]:
+    run, instance = repetition.run, repetition.instance
     pose = solution.T_target_source
     answer = {
         "status": solution.status,
@@ -95,7 +127,7 @@ def _repeated(plan: Plan, run: PlannedRun, stored: dict[str, Any] | None) -> dic
         "message": solution.message,
         "certificate_scope": solution.certificate_scope,
         **answer,
-        "stored": _comparison({**answer, **identity}, stored, run),
+        "stored": _comparison({**answer, **identity}, repetition.stored, run),
     }
 
 
@@ -119,16 +151,19 @@ def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: Plann
     return f"{DIFFERENT}: {', '.join(names)}"
 
 
-def _stored(run_id: str, results: Path) -> dict[str, Any] | None:
-    """Return the latest archived run, else one of the results; missing numbers are left out."""
+def _stored(run_id: str, results: Path) -> tuple[dict[str, Any] | None, Path]:
+    """Return the latest archived run, else one of the results, and the folder of its provenance.
+
+    Missing numbers of the run are left out.
+    """
     for folder in reversed(archives.folders()):
         archives.check(folder)
         if row := _row(folder / archives.RUNS, run_id):
-            return row
+            return row, folder / "experiments" / str(row["experiment"])
     for path in sorted(results.glob("**/tables/runs.parquet")):
         if row := _row(path, run_id):
-            return row
-    return None
+            return row, path.parent
+    return None, results
 
 
 def _row(path: Path, run_id: str) -> dict[str, Any] | None:

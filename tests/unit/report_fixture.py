@@ -162,7 +162,7 @@ def _provenance():
         "git": {"commit": "0" * 40, "dirty": True},
         "created": "2026-01-01T00:00:00Z",
         "commands": ["python -m workflows run made-up"],
-        "replay": "python -m workflows replay --experiment made-up",
+        "replay": "make replay",
         "methods": {
             label: {
                 "display_name": name, "summary": "A made-up method.", "provenance": origin,
@@ -208,5 +208,4 @@ def _overlay(run, rank):
         "level": float(run["level"]), "trial": int(run["trial"]), "rank": rank,
         "rmse": float(run["rmse"]), "source": curve.round(4).tolist(),
         "target": target.round(4).tolist(), "T_target_source": pose.round(6).tolist(),
-        "replay": f"python -m workflows replay --experiment made-up {run['run_id']}",
     }  # fmt: skip

@@ -9,12 +9,13 @@ rule aggregate:
         f"{VIEW}/tables/accounting.csv",
         f"{VIEW}/tables/provenance.json",
         f"{VIEW}/tables/overlays.json",
+        f"{VIEW}/tables/clouds.parquet",
     params:
         config=digest(EXPERIMENT.model_dump()),
         cards=digest([registry.read_card(method.baseline).model_dump() for method in PLAN.methods]),
         sources=sources(
-            "workflows/stages/aggregate.py", "workflows/attribution.py", "workflows/records.py",
-            "workflows/outcomes.py",
+            "workflows/stages/aggregate.py", "workflows/stages/clouds.py", "workflows/attribution.py",
+            "workflows/records.py", "workflows/outcomes.py",
         ),
     run:
         run_stage("workflows", "aggregate", *CHOICE, OUT)

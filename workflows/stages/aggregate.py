@@ -13,18 +13,20 @@ import pandas as pd
 from baselines import registry
 from dcreg.files import whole_file
 from dcreg.status import Status
-from workflows import attribution, outcomes, provenance, records
+from workflows import CHECKOUT, attribution, outcomes, provenance, records
 from workflows.config import MethodSettings
 from workflows.instances import read_problems
 from workflows.integrity import sealed_file
 from workflows.metrics import METRICS
 from workflows.outcomes import OUTCOMES
+from workflows.stages.clouds import CLOUDS, clouds
 from workflows.stages.plan import Plan, plan_table
 
 if TYPE_CHECKING:
     import polars as pl
 
 MAX_OVERLAY_POINTS = 400  # per set
+REPLAY = "make replay"  # of the Makefile, with RUN=run_id
 MOST_CSV_ROWS = 200_000  # of a CSV copy
 # Facts about an instance in the row of a run.
 OF_INSTANCE = [
@@ -56,8 +58,9 @@ def aggregate(plan: Plan, folder: Path) -> None:
     runs = pd.read_parquet(out / "runs.parquet", columns=SHOWN)
     with whole_file(out / "accounting.csv") as part:
         accounting(runs).to_csv(part, index=False)
-    _write_json(out / "provenance.json", _provenance(plan, runs))
+    _write_json(out / "provenance.json", _provenance(plan, folder, runs))
     _write_json(out / "overlays.json", overlays(plan, folder, runs))
+    records.write(clouds(plan, folder), out / CLOUDS)
 
 
 def join_runs(plan: Plan, folder: Path) -> pl.LazyFrame:
@@ -232,7 +235,6 @@ def overlays(plan: Plan, folder: Path, runs: pd.DataFrame) -> list[dict[str, Any
             **{key: run[key] for key in ("level", "trial", "rmse", "status", "model", "rank")},
             **clouds[run["instance_id"]],
             "T_target_source": json.loads(poses[run["run_id"]]),
-            "replay": replay_command(plan, run["run_id"]),
         }
         for run in chosen.to_dict("records")
     ]
@@ -257,14 +259,12 @@ def run_command(plan: Plan) -> str:
     return " ".join(["python -m workflows run", shlex.quote(plan.config), *parts])
 
 
-def replay_command(plan: Plan, run_id: str) -> str:
-    """Return the command line that repeats this run."""
-    return f"{replay_of(plan)} {run_id}"
-
-
-def replay_of(plan: Plan) -> str:
+def replay_of(folder: Path) -> str:
     """Return the command line that repeats a run, without the run."""
-    return f"python -m workflows replay --experiment {shlex.quote(plan.config)}"
+    results = folder.resolve().parent
+    if results == CHECKOUT / "results":
+        return REPLAY
+    return f"{REPLAY} RESULTS={shlex.quote(str(results))}"
 
 
 def _points(points: np.ndarray) -> list[list[float]]:
@@ -274,7 +274,7 @@ def _points(points: np.ndarray) -> list[list[float]]:
     return np.round(points[::step], max(0, digits)).tolist()
 
 
-def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
+def _provenance(plan: Plan, folder: Path, runs: pd.DataFrame) -> dict[str, Any]:
     chosen = {axis: value for axis, value in plan.selection.model_dump().items() if value}
     reasons = runs[runs["outcome"] == "unavailable"].groupby("method")["message"].first()
     return {
@@ -288,7 +288,7 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
         "git": provenance.git_state(),
         "created": provenance.now(),
         "commands": [run_command(plan)],
-        "replay": replay_of(plan),
+        "replay": replay_of(folder),
         "methods": {
             method.name: {
                 **registry.read_card(method.baseline).model_dump(),
