@@ -12,6 +12,8 @@ from reports.tables import Tables
 from workflows.discovery import modules
 
 HERE = Path(__file__).parent
+# The first one is needed by the others.
+SCRIPTS, STYLES = ("report.js", "versus.js", "runs.js", "run.js"), ("report.css", "runs.css")
 
 
 def build(tables_dir: Path, out: Path) -> None:
@@ -63,13 +65,11 @@ def _render(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> str:
     ]
     return environment.get_template("page.html").render(
         sections=bodies,
-        css=_assets("css"),
+        css="\n".join(map(_asset, STYLES)),
         variables=theme.css_variables(page.styles.values()),
-        script=packing.UNPACK.read_text(encoding="utf-8") + _assets("js"),
+        script="\n".join([packing.UNPACK.read_text(encoding="utf-8"), *map(_asset, SCRIPTS)]),
     )
 
 
-def _assets(kind: str) -> str:
-    """Return the style sheets or scripts of the page, one after the other."""
-    paths = [HERE / "assets" / f"{name}.{kind}" for name in ("report", "runs", "run")]
-    return "\n".join(path.read_text(encoding="utf-8") for path in paths if path.is_file())
+def _asset(name: str) -> str:
+    return (HERE / "assets" / name).read_text(encoding="utf-8")

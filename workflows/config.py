@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -11,6 +12,7 @@ from pydantic import Field, ValidationError
 
 from baselines import registry
 from baselines.contract import Limits
+from data import registry as data
 from data.parameters import explain, key_path
 from dcreg.problem import suggestion
 from workflows import CHECKOUT, shown
@@ -123,6 +125,11 @@ def find(experiment: str) -> Place:
         return Place(CONFIGS / f"{tier['whole']}.yaml", name != experiment, n_points)
     if name in known:
         return Place(CONFIGS / f"{name}.yaml", name != experiment)
+    if path.suffix in (".yaml", ".yml") or len(path.parts) > 1:
+        raise ConfigError(
+            f"{experiment}: no such config file in {Path.cwd()}; correct the path, or give one of "
+            f"{', '.join(known)}"
+        )
     raise ConfigError(f"no experiment {experiment!r}{suggestion(experiment, known)}")
 
 
@@ -147,6 +154,7 @@ def load(experiment: str) -> Experiment:
         Lists all problems.
     """
     place = find(experiment)
+    search_next_to(place.path)
     settings = _load(place)
     if not place.quick and has_quick_part(place.path):
         try:
@@ -155,6 +163,33 @@ def load(experiment: str) -> Experiment:
             remedy = "this is in the quick part; correct it, or remove the key quick"
             raise ConfigError(f"{error}\n{shown(place.path)}: {remedy}") from error
     return settings
+
+
+def search_next_to(path: Path) -> None:
+    """Let folders ``baselines`` and ``data`` next to a config hold methods and datasets.
+
+    Child processes inherit the two environment variables.
+    """
+    for variable, name in ((registry.SEARCH_PATH, "baselines"), (data.SEARCH_PATH, "data")):
+        folder = path.resolve().parent / name
+        known = [entry for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
+        if folder.is_dir() and folder != CHECKOUT / name and str(folder) not in known:
+            os.environ[variable] = os.pathsep.join([*known, str(folder)])
+
+
+def with_methods(settings: Experiment, names: Iterable[str]) -> Experiment:
+    """Add methods by name, with their default options, to an experiment that lacks them.
+
+    Names that are no methods are left out: the check of a selection reports them.
+    """
+    known = {method.name for method in settings.methods}
+    missing = [name for name in dict.fromkeys(names) if name not in known]
+    added = [
+        _with_its_limits(settings, MethodSettings(name=name, baseline=name))
+        for name in missing
+        if name in registry.names()
+    ]
+    return settings.model_copy(update={"methods": [*settings.methods, *added]})
 
 
 def _load(place: Place) -> Experiment:
@@ -284,12 +319,19 @@ def _with_setting(method: MethodSettings, key: str, value: float | str) -> Metho
     factors = {"n_inliers_ratio": "n_p ×", "noise_factor": "noise_factor ×"}
     ours = "our " * (key == "front_end" and value != "oracle")
     shown_value = f"{ours}{value}" if text else f"{factors.get(key, f'{key} =')} {value:g}"
-    label = f"{label[:-1]}, {shown_value})" if label.endswith(")") else f"{label} ({shown_value})"
-    changed = {"name": f"{method.name}-{value if text else f'{key}{value:g}'}", "label": label}
+    name = f"{method.name}-{value if text else f'{key}{value:g}'}"
+    changed = {"name": name, "label": with_note(label, shown_value)}
     if key == "n_inliers_ratio":
         return MethodSettings(**{**method.model_dump(), **changed, key: value})
     options = {**method.options, key: value}
     return MethodSettings(**{**method.model_dump(), **changed, "options": options})
+
+
+def with_note(label: str, note: str) -> str:
+    """Return a label with a note in its last parentheses."""
+    if not note:
+        return label
+    return f"{label[:-1]}, {note})" if label.endswith(")") else f"{label} ({note})"
 
 
 def _check_variations(settings: Experiment) -> Iterable[str]:

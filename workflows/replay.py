@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from pydantic import ValidationError
 
 from baselines import registry
 from baselines.contract import Baseline, Instance, Solution
-from workflows import UserError, archives, records
-from workflows.config import Experiment, load, origin
+from workflows import CHECKOUT, UserError, archives, records
+from workflows.config import Experiment, load, origin, search_next_to
 from workflows.instances import content_digest
 from workflows.stages.generate import instance_of
 from workflows.stages.plan import Plan, PlannedRun, expand
@@ -23,6 +24,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SAME, DIFFERENT = "same", "different"
+
+
+class Stored(NamedTuple):
+    """A stored run, and the provenance of its table."""
+
+    row: dict[str, Any]
+    provenance: dict[str, Any]
 
 
 def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -> dict[str, Any]:
@@ -60,18 +68,19 @@ class Repetition:
     run: PlannedRun
     instance: Instance
     method: Baseline
-    stored: dict[str, Any] | None
+    stored: Stored | None
 
     @classmethod
     def of(cls, run_id: str, experiment: str = "", results: Path = Path("results")) -> Repetition:
         """Find a run and make its instance again; see `replay`."""
-        stored, folder = _stored(run_id, results)
-        if not experiment and stored is None:
+        stored = _stored(run_id, results)
+        if stored is None and not experiment:
             raise UserError(
                 f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
-                "tables/runs.csv, or name its experiment with --experiment"
+                "tables/runs.csv, name the folder of its results (RESULTS=…), or its experiment with "
+                "--experiment"
             )
-        plan = _plan(experiment, stored, folder)
+        plan = _plan(experiment, stored)
         run = next((run for run in plan.runs() if run.run_id == run_id), None)
         if run is None:
             raise UserError(
@@ -96,18 +105,21 @@ class Repetition:
         return _compared(self, self.method.solve(self.instance, limits))
 
 
-def _plan(experiment: str, stored: dict[str, Any] | None, folder: Path) -> Plan:
-    """Return the plan of the config that is named, or else of the one recorded with the run."""
-    path = folder / "provenance.json"
-    if not experiment and path.is_file():
-        recorded = json.loads(path.read_text(encoding="utf-8"))["config"]
-        return expand(Experiment.model_validate(recorded))
-    name = experiment or str((stored or {})["experiment"])
-    return expand(load(name), None, origin(name), None)
+def _plan(experiment: str, stored: Stored | None) -> Plan:
+    """Return the plan that contains a run: of the given config, or of the one stored with the run."""
+    if experiment or stored is None:
+        return expand(load(experiment), None, origin(experiment), None)
+    try:
+        settings = Experiment.model_validate(stored.provenance["config"])
+    except (KeyError, ValidationError):  # stored by another version
+        return _plan(stored.row["experiment"], None)
+    if config := stored.provenance.get("config_file"):
+        search_next_to(CHECKOUT / config)
+    return expand(settings, None, settings.name, None)
 
 
 def _compared(repetition: Repetition, solution: Solution) -> dict[str, Any]:
-    run, instance = repetition.run, repetition.instance
+    run, instance, stored = repetition.run, repetition.instance, repetition.stored
     pose = solution.T_target_source
     answer = {
         "status": solution.status,
@@ -127,7 +139,7 @@ def _compared(repetition: Repetition, solution: Solution) -> dict[str, Any]:
         "message": solution.message,
         "certificate_scope": solution.certificate_scope,
         **answer,
-        "stored": _comparison({**answer, **identity}, repetition.stored, run),
+        "stored": _comparison({**answer, **identity}, stored.row if stored else None, run),
     }
 
 
@@ -151,19 +163,21 @@ def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: Plann
     return f"{DIFFERENT}: {', '.join(names)}"
 
 
-def _stored(run_id: str, results: Path) -> tuple[dict[str, Any] | None, Path]:
-    """Return the latest archived run, else one of the results, and the folder of its provenance.
-
-    Missing numbers of the run are left out.
-    """
+def _stored(run_id: str, results: Path) -> Stored | None:
+    """Return the latest archived run, else one of the results; missing numbers are left out."""
     for folder in reversed(archives.folders()):
         archives.check(folder)
         if row := _row(folder / archives.RUNS, run_id):
-            return row, folder / "experiments" / str(row["experiment"])
+            return Stored(row, _json(folder / "experiments" / row["experiment"]))
     for path in sorted(results.glob("**/tables/runs.parquet")):
         if row := _row(path, run_id):
-            return row, path.parent
-    return None, results
+            return Stored(row, _json(path.parent))
+    return None
+
+
+def _json(folder: Path) -> dict[str, Any]:
+    path = folder / "provenance.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
 def _row(path: Path, run_id: str) -> dict[str, Any] | None:

@@ -61,7 +61,7 @@ function tellRun({ data, at, run, record }) {
     row.append(Object.assign(document.createElement("dt"), { textContent: name }), Object.assign(document.createElement("dd"), { textContent: typeof value === "number" ? short(value) : value }));
     return row;
   }));
-  $("#run-replay").textContent = `${data.replay} RUN=${run}`;
+  $("#run-replay").textContent = `${data.replay}${run}`;
   const stages = Object.keys(record.stages);
   $("#run-boxes-text").hidden = !stages.length;
   $("#run-history-part").hidden = !stages.length;

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from reports.page import Page
+from reports.pairs import OWN_TEST
 from reports.tables import Tables, case_names
 from reports.theme import Style, number, words
 
 ID = "gallery"
 TITLE = "Overlays"
 POSITION = 60
-PAIR = "pair"  # the test of one's own pairs of clouds: their level and trial say nothing
 
 
 def context(page: Page) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def _card(item: dict[str, Any], styles: dict[str, Style], names: dict[str, str])
         "run": item["run_id"],
         "method": item["method"],
         "name": styles[item["method"]].name,
-        "where": name if item["test"] == PAIR else f"{name}, {level}",
+        "where": name if item["test"] == OWN_TEST else f"{name}, {level}",
         "test": item["test"],
         "title": f"{item['rank']} run of {words(item['test'])}",
         "rank": item["rank"],

@@ -87,8 +87,8 @@ def test_clouds_come_from_overlays_or_from_their_table(made, tables, tmp_path):
     _, known = made
     item = tables.overlays[0]
     cloud = known[item["run_id"]]["clouds"]
-    np.testing.assert_allclose(cloud["source"], item["source"], atol=1e-3)
-    assert cloud["kind"] == clouds.NEAREST
+    np.testing.assert_allclose(cloud["source"], item["source"])
+    assert (cloud["kind"], len(cloud["pairs"])) == (clouds.TRUE, 98)
     row = {
         "instance_id": "a",
         "dim": 2,
@@ -97,6 +97,10 @@ def test_clouds_come_from_overlays_or_from_their_table(made, tables, tmp_path):
         "pairs": [1, 0],
     }
     pd.DataFrame([row]).to_parquet(tmp_path / CLOUDS)
+    without = Tables(tmp_path / "none", tables.runs, None, {}, tables.overlays)
+    overlaid = clouds.of_instances(without)[known[item["run_id"]]["instance"]]
+    np.testing.assert_allclose(overlaid["source"], item["source"], atol=1e-3)
+    assert overlaid["kind"] == clouds.NEAREST
     stored = clouds.of_instances(Tables(tmp_path, tables.runs, *[None] * 3))
     assert stored == {
         "a": {
