@@ -83,6 +83,8 @@ def run(
     if cores != "all" and not (cores.isdecimal() and int(cores)):
         raise UserError(f"--cores {cores}: give a positive number, or all")
     from workflows.running import INTERRUPTED, cores_of_job, find_profile, run_snakemake
+    from workflows.stages.plan import size_notes
+    from workflows.stand_ins import fetchable
 
     profiles = [find_profile(each) for each in profile or ()]
     needs: list[str] = []
@@ -92,10 +94,10 @@ def run(
         path, select = _store_needs(experiment, methods.split(","), directory), []
         needs = [f"needs={path.resolve()}"]
         plan = planned(experiment, select, path)
-    else:
+    elif dry_run:
         plan = planned(experiment, select)
-    from workflows.stages.plan import size_notes
-
+    else:
+        experiment, select, plan = fetchable(experiment, select)
     name = plan.experiment.name
     folder = directory / "results" / name
     if dry_run:

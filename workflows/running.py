@@ -26,6 +26,7 @@ from workflows.config import Experiment
 from workflows.integrity import set_aside_damaged
 
 INTERRUPTED = 130  # exit code, as in shells
+USER_ERROR = 2  # exit code of `workflows.cli.user_errors`, which prints the reason
 PATIENCE_S = 20.0  # for Snakemake to end after SIGTERM
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PROFILES = CHECKOUT / "workflows" / "profiles"
@@ -140,9 +141,16 @@ def run_snakemake(
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
-        if process.returncode and deadline == float("inf"):
-            print(errors.read().rstrip(), file=sys.stderr)
+        has_failed = process.returncode and deadline == float("inf")
+        if has_failed and (text := _unexplained(errors.read())):
+            print(text, file=sys.stderr)
     return process.returncode if deadline == float("inf") else INTERRUPTED
+
+
+def _unexplained(errors: str) -> str:
+    """Return Snakemake's messages, unless a stage has already said what the user can correct."""
+    has_said_why = "StageError" in errors and f"ended with exit code {USER_ERROR}" in errors
+    return "" if has_said_why else errors.rstrip()
 
 
 def _set_aside_damaged(folder: Path) -> None:
