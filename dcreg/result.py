@@ -62,6 +62,7 @@ class Result:
         The requested residual, as in `dcreg.register`.
     certificate_scope : str
         What the bounds refer to: ``"similarity pose"``, ``"translation in norm space"``, ...
+        It contains ``"of the sample"`` if they hold for the sample only.
     objective : float
         Sum of squared residuals of the `n_inliers` matched pairs at `T_target_source`; with weights of
         points, the sum of the costs of `PointWeights`.
@@ -254,7 +255,7 @@ class Result:
 
     def entries(self) -> Iterator[tuple[str, str]]:
         """Yield names and values of the `summary`; every warning is an entry of that name."""
-        scope = self.certificate_scope + " of the sample" * (self.downsampled is not None)
+        scope = self.certificate_scope
         yield "status", self._verdict(scope)
         rows = (" ".join(f"{x:>14.8g}" for x in row) for row in self.T_target_source)
         yield "T_target_source", "\n".join(rows)

@@ -209,6 +209,19 @@ def bounds(
 
 @app.command()
 @user_errors
+def library(
+    out: Annotated[Path, typer.Option(help="Folder for the page and its table.")] = Path(
+        "results/library/page"
+    ),
+) -> None:
+    """Build the page of the library of problems with proven optima."""
+    from reports.library.page import build
+
+    say(f"library   {build(out)}")
+
+
+@app.command()
+@user_errors
 def threedmatch(
     experiment: Experiment = "threedmatch",
     methods: Part = "",

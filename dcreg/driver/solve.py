@@ -30,7 +30,7 @@ from dcreg.driver.uncertainty import with_uncertainty
 from dcreg.driver.warm_up import warm_up_mode, warm_up_region
 from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
-from dcreg.names import AUTO, START_BOXES
+from dcreg.names import AUTO, OF_SAMPLE, START_BOXES
 from dcreg.problem import (
     Frame,
     InputError,
@@ -245,6 +245,9 @@ class Finish:
             result = refined(result, problem, searched, self.budget, self.known)
             self._report_refinement(result.objective)
         result = self._exact(result)
+        is_sample = result.downsampled is not None
+        scope = _scope(problem, solution.scope, is_sample=is_sample)
+        result = replace(result, certificate_scope=scope)
         if problem.pose_range is None:  # the covariance is that of free poses
             low, high = problem.scale_range
             has_scale = problem.has_scale and low < high
@@ -301,7 +304,7 @@ class Finish:
             n_inliers=problem.n_inliers, lower_bound=solution.lower_bound, upper_bound=upper_bound,
             max_rms=self.setup.limits.max_rms, memory_estimate=self.setup.memory,
             gap_tol=tolerance.allowed(upper_bound), is_exact=tolerance.is_exact(upper_bound),
-            certificate_scope=_scope(problem, solution),
+            certificate_scope=solution.scope,
             objective=final, objective_certified=before[0],
             n_nodes=sum(stage.n_nodes for stage in solution.stages),
             n_assignments=sum(stage.n_assignments for stage in solution.stages),
@@ -350,10 +353,10 @@ class Finish:
         )  # fmt: skip
 
 
-def _scope(problem: Problem, solution: Solution) -> str:
+def _scope(problem: Problem, what: str, *, is_sample: bool) -> str:
     """Return what the bounds refer to."""
-    where = ", within the range of poses" * (problem.pose_range is not None)
-    return solution.scope + where + ", weighted points" * (problem.weights is not None)
+    where = OF_SAMPLE * is_sample + ", within the range of poses" * (problem.pose_range is not None)
+    return what + where + ", weighted points" * (problem.weights is not None)
 
 
 def _exact_value(problem: Problem) -> float:

@@ -182,10 +182,13 @@ def test_an_exact_fit_of_all_points_is_optimal_whatever_the_sample_proves(rng):
     assert found.lower_bound == 0.0 <= found.upper_bound == found.objective < 1e-20
     assert found.upper_bound <= found.gap_tol
     assert found.downsampled is None  # the bounds refer to all points
+    assert found.certificate_scope == "rigid pose"
     assert found.warnings == []
     np.testing.assert_allclose(found.T_certified, found.T_target_source)
     noisy = target + 1e-3 * rng.standard_normal(target.shape)
-    assert register(source, noisy, **options).downsampled is not None
+    sampled = register(source, noisy, **options)
+    assert sampled.downsampled is not None
+    assert sampled.certificate_scope == "rigid pose of the sample"
 
 
 def test_the_objective_before_the_refinement_is_that_of_good_pairs(rng):
