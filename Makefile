@@ -87,6 +87,11 @@ archive: setup
 snakemake-report: setup
 	@$(BIN)/python -m workflows snakemake-report $(CONFIG)
 
+## publish: write all results, configs and the code of own methods to results/published/VERSION.zip, and say how others read it
+.PHONY: publish
+publish: setup
+	@$(BIN)/python -m reports archive --publish --version $(or $(VERSION),mine)
+
 ## report: build all pages from an archive without a run, ARCHIVE=version|folder|zip file|address (SHA256=… of a zip file)
 .PHONY: report
 report: setup
@@ -233,6 +238,13 @@ lint: dev
 docs: dev
 	@$(BIN)/python -m sphinx -q -W -b html docs results/docs
 	@echo "results/docs/index.html"
+
+## wheel: build the wheel of the library in results/dist; the same commit gives the same bytes
+.PHONY: wheel
+wheel: setup
+	@SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m pip wheel --quiet --no-deps \
+	  --disable-pip-version-check --no-build-isolation --wheel-dir results/dist .
+	@sha256sum results/dist/dcreg-*.whl
 
 ## floors: run the library's tests with the oldest packages that pyproject.toml allows
 .PHONY: floors

@@ -168,19 +168,37 @@ def evidence(
 def archive(
     results: Folders = None,
     version: Annotated[str, typer.Option(help="Name; default: the version of dcreg.")] = "",
+    publish: Annotated[
+        bool,
+        typer.Option("--publish", help="Write a zip file to results/published instead."),
+    ] = False,
 ) -> None:
-    """Write all results to reports/archive/VERSION, which ships with the repository."""
+    """Write all results to reports/archive/VERSION, which ships with the repository.
+
+    An archive also holds the configs and the code of one's own methods and datasets.
+    """
     from dcreg import __version__
     from reports.archive import crate, read
     from reports.archive.write import write
     from workflows.archives import ARCHIVES
 
     name = version or __version__
-    folder = write(results or [Path("results")], ARCHIVES / name, name)
+    place = Path("results", "published") if publish else ARCHIVES
+    folder = write(results or [Path("results")], place / name, name)
     read.check(folder)
     crate.check(folder)
     size = sum(path.stat().st_size for path in folder.rglob("*"))
     say(f"archive   {folder} ({size / 1e6:.1f} MB)")
+    if publish:
+        from reports.archive.write import pack
+        from workflows.integrity import digest
+
+        path = pack(folder)
+        print(
+            f"publish   {path}\n"
+            "          upload it where files keep their address, and state this command with it:\n"
+            f"          make report ARCHIVE=<address> SHA256={digest(path)}"
+        )
 
 
 @app.command()

@@ -84,6 +84,8 @@ def run(
         raise UserError(f"--cores {cores}: give a positive number, or all")
     from workflows.live import View
     from workflows.running import INTERRUPTED, cores_of_job, find_profile, run_snakemake
+    from workflows.stages.plan import size_notes
+    from workflows.stand_ins import fetchable
 
     profiles = [find_profile(each) for each in profile or ()]
     needs: list[str] = []
@@ -93,10 +95,10 @@ def run(
         path, select = _store_needs(experiment, methods.split(","), directory), []
         needs = [f"needs={path.resolve()}"]
         plan = planned(experiment, select, path)
-    else:
+    elif dry_run:
         plan = planned(experiment, select)
-    from workflows.stages.plan import size_notes
-
+    else:
+        experiment, select, plan = fetchable(experiment, select)
     name = plan.experiment.name
     folder = directory / "results" / name
     jobs = 1 if timing else os.cpu_count() or 1 if cores == "all" else int(cores)
