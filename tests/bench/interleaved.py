@@ -34,10 +34,9 @@ FEW = {"bound": "dc", "node_limit": 60}  # most of their time is spent in compil
 TIGHT = {"bound": "tight"}
 Problem = tuple[Subject, dict[str, Any]]  # with the settings that differ from `SETTINGS`
 TIMED: list[Problem] = [
-    (Subject("embedded", "fish", "mixed_outliers", 0.3, n_points=24, jitter=0.05), FEW),
-    (Subject("embedded", "glyph", "mixed_outliers", 0.3, n_points=24, jitter=0.05), FEW),
-    (Subject("embedded", "pony", "noise", 0.02, n_points=40, tau=0.01), TIGHT),
-    (Subject("embedded", "saurian", "noise", 0.02, n_points=40, tau=0.01), TIGHT),
+    (Subject("embedded", "fish", "mixed_outliers", 0.3, n_points=16, jitter=0.05), FEW),
+    (Subject("embedded", "glyph", "mixed_outliers", 0.3, n_points=16, jitter=0.05), FEW),
+    (Subject("embedded", "pony", "noise", 0.02, n_points=30, tau=0.01), TIGHT),
 ]
 COUNTED: list[Problem] = [
     (Subject("embedded", "fish", "mixed_outliers", 0.3, n_points=24, jitter=0.05), TIGHT),
