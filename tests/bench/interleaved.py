@@ -147,7 +147,7 @@ def _row(problem: Problem, model: str, repetition: int) -> dict[str, Any]:
 
 
 def main(
-    old: Annotated[Path, typer.Argument(help="A checkout of the version to compare with.")],
+    old: Annotated[str, typer.Argument(help="A checkout of the version to compare with.")] = "",
     out: Annotated[Path, typer.Argument(help="CSV file for the times.")] = Path(
         "results/timings/times.csv"
     ),
@@ -157,7 +157,12 @@ def main(
     """Measure the CPU time of two checkouts in turn, and print the verdicts."""
     from workflows.timing import judge
 
-    table = measure(old, {"head": new}, repetitions)["head"]
+    if not (Path(old) / "dcreg").is_dir() or not old:
+        print(
+            f"error: OLD={old}: name a checkout, as in `make timings OLD=folder`", file=sys.stderr
+        )
+        raise typer.Exit(2)
+    table = measure(Path(old), {"head": new}, repetitions)["head"]
     out.parent.mkdir(parents=True, exist_ok=True)
     table.to_csv(out, index=False)
     for found in judge(table):

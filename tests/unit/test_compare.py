@@ -9,9 +9,10 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from workflows import recording
 from workflows.__main__ import app
-from workflows.compare import CompareError, compare, judge_experiment, read_version, sign_test
-from workflows.records import SCHEMA_VERSION, recorded_columns
+from workflows.compare import compare, judge_experiment, sign_test
+from workflows.records import SCHEMA_VERSION
 
 N_RUNS = 20
 
@@ -24,6 +25,11 @@ def table(rng: np.random.Generator, method: str = "dcreg") -> pd.DataFrame:
             "method": method,
             "instance_id": [f"i{i}" for i in range(N_RUNS)],
             "instance_digest": [f"d{i}" for i in range(N_RUNS)],
+            "dataset": "embedded",
+            "shape": "fish",
+            "test": "noise",
+            "level": 0.1,
+            "trial": range(N_RUNS),
             "n_inliers": 10,
             "status": ["optimal"] * (N_RUNS - 2) + ["time_limit"] * 2,
             "n_nodes": rng.integers(100, 1000, N_RUNS),
@@ -35,9 +41,10 @@ def table(rng: np.random.Generator, method: str = "dcreg") -> pd.DataFrame:
             "bound_violation": 0.0,
             "time_solve_s": 0.1 + rng.random(N_RUNS),
             "machine_id": "m",
+            "gap_integral_boxes": 10 + rng.random(N_RUNS),
         }
     )
-    return runs.reindex(columns=list(recorded_columns()))
+    return runs.reindex(columns=list(recording.columns()))
 
 
 def about(folder, version=SCHEMA_VERSION):
@@ -61,9 +68,9 @@ def test_an_unchanged_version_has_no_finding(base):
 def test_a_record_with_an_additional_column_is_read(base, tmp_path):
     folder = tmp_path / "old" / "e"
     folder.mkdir(parents=True)
-    base.assign(n_bound_evals=base["n_nodes"]).to_csv(folder / "runs.csv", index=False)
+    base.assign(n_bound_evals=base["n_nodes"]).to_parquet(folder / recording.RUNS)
     about(folder)
-    old = read_version("old", tmp_path)["e"]
+    old = recording.read("old", tmp_path)["e"].runs
     assert set(verdicts(old, base).values()) == {"same"}
 
 
@@ -152,7 +159,7 @@ def test_a_bound_above_the_truth_is_a_regression(base):
 
 @pytest.mark.parametrize(
     ("status", "slower", "expected"),
-    [("node_limit", 1.0, "worse"), ("time_limit", 1.1, "unclear"), ("time_limit", 3.0, "worse")],
+    [("node_limit", 1.0, "worse"), ("time_limit", 1.1, "unclear"), ("time_limit", 3.0, "unclear")],
 )
 def test_a_lost_certificate_is_a_regression_unless_the_time_limit_may_explain_it(
     base, status, slower, expected
@@ -177,10 +184,10 @@ def test_other_content_of_an_instance_is_not_compared(base):
 
 
 def test_sign_test_needs_enough_evidence():
-    assert sign_test(0, 0) == "same"
-    assert sign_test(0, 3) == "unclear"
-    assert sign_test(0, 6) == "worse"
-    assert sign_test(9, 1) == "better"
+    assert sign_test(0, 0)[0] == "same"
+    assert sign_test(0, 3) == ("unclear", 0.25)
+    assert sign_test(0, 6)[0] == "worse"
+    assert sign_test(9, 1)[0] == "better"
 
 
 @pytest.fixture
@@ -193,7 +200,7 @@ def history(base, tmp_path):
     for version, runs in versions.items():
         folder = tmp_path / version / "demo"
         folder.mkdir(parents=True)
-        runs.to_csv(folder / "runs.csv", index=False)
+        runs.to_parquet(folder / recording.RUNS)
         about(folder, 3 if version == "old" else SCHEMA_VERSION)
     return tmp_path
 
@@ -202,7 +209,8 @@ def history(base, tmp_path):
     ("head", "code", "says"),
     [
         ("same", 0, "no regression"),
-        ("worse", 1, "1 regressions"),
+        ("worse", 1, "1 regression"),
+        ("", 2, "HEAD not given; use `make compare BASE=… HEAD=…`"),
         ("none", 2, "known: broken, elsewhere, old, same, v1, worse"),
         ("broken", 2, "column 'run_id' is missing"),
         ("elsewhere", 2, "share no instance"),
@@ -216,5 +224,5 @@ def test_exit_codes_for_ci(history, capfd, head, code, says):
 
 
 def test_an_empty_history_names_the_command_to_record(tmp_path):
-    with pytest.raises(CompareError, match="workflows record --version v1"):
+    with pytest.raises(recording.RecordError, match="make record VERSION=v1"):
         compare("v1", "v2", tmp_path)
