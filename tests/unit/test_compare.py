@@ -7,49 +7,13 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from record_fixture import N_RUNS, about, table
 from typer.testing import CliRunner
 
 from workflows import recording
 from workflows.__main__ import app
 from workflows.compare import compare, judge_experiment, sign_test
 from workflows.records import SCHEMA_VERSION
-
-N_RUNS = 20
-
-
-def table(rng: np.random.Generator, method: str = "dcreg") -> pd.DataFrame:
-    """A recorded version of one bounding method: certified runs, the last two at the time limit."""
-    runs = pd.DataFrame(
-        {
-            "run_id": [f"r{i}" for i in range(N_RUNS)],
-            "method": method,
-            "instance_id": [f"i{i}" for i in range(N_RUNS)],
-            "instance_digest": [f"d{i}" for i in range(N_RUNS)],
-            "dataset": "embedded",
-            "shape": "fish",
-            "test": "noise",
-            "level": 0.1,
-            "trial": range(N_RUNS),
-            "n_inliers": 10,
-            "status": ["optimal"] * (N_RUNS - 2) + ["time_limit"] * 2,
-            "n_nodes": rng.integers(100, 1000, N_RUNS),
-            "n_assignments": rng.integers(1000, 10000, N_RUNS),
-            "gap": rng.random(N_RUNS),
-            "objective": rng.random(N_RUNS),
-            "rmse": rng.random(N_RUNS),
-            "success": True,
-            "bound_violation": 0.0,
-            "time_solve_s": 0.1 + rng.random(N_RUNS),
-            "machine_id": "m",
-            "gap_integral_boxes": 10 + rng.random(N_RUNS),
-        }
-    )
-    return runs.reindex(columns=list(recording.columns()))
-
-
-def about(folder, version=SCHEMA_VERSION):
-    content = {"schema_version": version, "git": {"commit": "abc123"}}
-    (folder / "about.json").write_text(json.dumps(content))
 
 
 def verdicts(base: pd.DataFrame, head: pd.DataFrame) -> dict[str, str]:
@@ -178,6 +142,16 @@ def test_times_compare_within_one_machine_and_never_fail(base):
     assert verdicts(base, elsewhere)["time_solve_s"] == "not compared"
 
 
+def test_a_busy_machine_is_not_a_slower_version(base, rng):
+    head = base.assign(time_solve_s=base["time_solve_s"] * rng.uniform(1.1, 1.7, N_RUNS))
+    assert verdicts(base, head)["time_solve_s"] == "unclear"
+
+
+def test_integrals_over_boxes_are_judged_as_quality(base):
+    head = base.assign(gap_integral_boxes=base["gap_integral_boxes"] * 1.1)
+    assert verdicts(base, head)["median gap integral"] == "worse"
+
+
 def test_other_content_of_an_instance_is_not_compared(base):
     head = base.assign(instance_digest="new", rmse=99.0)
     assert verdicts(base, head) == {"runs": "not compared"}
@@ -221,6 +195,47 @@ def test_exit_codes_for_ci(history, capfd, head, code, says):
     result = CliRunner().invoke(app, ["compare", "v1", head, "--history", str(history)])
     assert result.exit_code == code
     assert says in result.output + capfd.readouterr().err
+
+
+def test_lost_and_won_instances_are_named_everywhere(history, base, tmp_path, capfd):
+    head = base.copy()
+    head.loc[:7, "success"] = False
+    (tmp_path / "lost" / "demo").mkdir(parents=True)
+    head.to_parquet(tmp_path / "lost" / "demo" / recording.RUNS)
+    about(tmp_path / "lost" / "demo")
+    files = {"--json": tmp_path / "v.json", "--text": tmp_path / "v.md"}
+    options = [str(part) for option in files.items() for part in option]
+    arguments = ["compare", "v1", "lost", "--history", str(history), *options]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 1
+    names = [f"embedded fish noise 0.1 {trial}" for trial in range(8)]
+    shown = result.output + capfd.readouterr().out
+    assert ", ".join([*names[:5], "and 3 more"]) in " ".join(shown.replace("│", "").split())
+    found = json.loads(files["--json"].read_text())
+    (success,) = [row for row in found["verdicts"] if row["metric"] == "success"]
+    assert found["outcome"] == "regression"
+    assert (success["lost"], success["won"], success["verdict"]) == (names, [], "worse")
+    assert (success["unit"], success["better"]) == ("runs", "higher")
+    assert success["p_value"] == pytest.approx(2**-7)
+    text = files["--text"].read_text()
+    assert text.startswith("### ❌ v1 → lost: 1 regression\n")
+    assert f"- lost: {', '.join(names)}" in text
+
+
+@pytest.mark.parametrize(("factor", "code"), [(1.0, 0), (1.3, 1)])
+def test_times_measured_in_turn_decide_the_exit_code(history, tmp_path, rng, factor, code):
+    rows = [
+        {
+            "group": "rigid3d", "problem": "p", "repetition": repetition, "cpu_s_base": 1.0,
+            "cpu_s_head": factor * rng.uniform(0.98, 1.02), "n_nodes_base": 5, "n_nodes_head": 5,
+            "n_assignments_base": 7, "n_assignments_head": 7,
+        }
+        for repetition in range(10)
+    ]  # fmt: skip
+    pd.DataFrame(rows).to_csv(tmp_path / "times.csv", index=False)
+    times = ["--times", str(tmp_path / "times.csv")]
+    arguments = ["compare", "v1", "same", "--history", str(history), *times]
+    assert CliRunner().invoke(app, arguments).exit_code == code
 
 
 def test_an_empty_history_names_the_command_to_record(tmp_path):
