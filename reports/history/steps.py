@@ -36,11 +36,15 @@ class Metric:
 
 @dataclass(frozen=True)
 class Point:
-    """The value of one version; `step` is the verdict against the version before, if it is a step."""
+    """The value of one version; `step` is the verdict against the version before, if it is a step.
+
+    `before` is the value of that version.
+    """
 
     version: str
     value: float
     machine: str
+    before: float
     step: Verdict | None = None
 
 
@@ -138,11 +142,12 @@ def _lines(records: dict[str, Record]) -> Iterator[tuple[str, list[Line]]]:
     for method in dict.fromkeys(name for each in records.values() for name in each.runs["method"]):
         lines = []
         for key, metric in METRICS.items():
-            points = [
-                Point(version, value, _machine(runs), verdicts.get((version, method, key)))
-                for version, runs in _runs_of(records, method)
-                if np.isfinite(value := metric.value(runs))
-            ]
+            points: list[Point] = []
+            for version, runs in _runs_of(records, method):
+                if np.isfinite(value := metric.value(runs)):
+                    before = points[-1].value if points else np.nan
+                    step = verdicts.get((version, method, key))
+                    points.append(Point(version, value, _machine(runs), before, step))
             if points:
                 lines.append(Line(metric, points))
         yield method, lines
