@@ -19,10 +19,10 @@ import numpy as np
 import pandas as pd
 
 COUNTERS = ("n_nodes", "n_assignments")
-CONFIDENCE = 0.99
+CONFIDENCE = 0.95
 MARGIN = 1.05  # smaller differences between two processes have other causes, such as memory layout
 ONCE_MARGIN = 1.5
-FEWEST = 8  # with fewer pairs no interval of this confidence exists
+FEWEST = 6  # with fewer pairs no interval of this confidence exists
 
 
 @dataclass(frozen=True)

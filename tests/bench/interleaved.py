@@ -14,7 +14,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,10 +25,11 @@ import typer
 
 from tests.bench.cases import Subject
 from tests.problems import OPTION_NAMES
+from workflows.timing import FEWEST, judge
 
 ROOT = Path(__file__).parents[2]
 SERVER = Path(__file__).with_name("solve_server.py")
-REPETITIONS, MINIMUM_OF = 10, 3
+REPETITIONS, MINIMUM_OF = 12, 4
 SETTINGS = {"mode": "paper", "polish": False, "prove": True, "time_limit": 120.0}
 FEW = {"bound": "dc", "node_limit": 60}  # most of their time is spent in compiled kernels
 TIGHT = {"bound": "tight"}
@@ -44,7 +45,7 @@ COUNTED: list[Problem] = [
 ]
 
 
-def problems(chosen: list[Problem]) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+def problems(chosen: Sequence[Problem]) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     """Return the arguments of `dcreg.register` for each problem, and its options, as plain values."""
     found = []
     for subject, settings in chosen:
@@ -87,7 +88,10 @@ def side(checkout: Path, file: Path) -> Iterator[Side]:
 
 
 def measure(
-    base: Path, heads: dict[str, Path], repetitions: int = REPETITIONS
+    base: Path,
+    heads: dict[str, Path],
+    repetitions: int = REPETITIONS,
+    timed: Sequence[Problem] = TIMED,
 ) -> dict[str, pd.DataFrame]:
     """Solve the problems with a checkout and with others in turn.
 
@@ -97,6 +101,8 @@ def measure(
     heads : dict of str to Path
         The checkouts to compare with the base, by name.
     repetitions : int
+    timed : sequence of Problem
+        The problems that are repeated.
 
     Returns
     -------
@@ -105,7 +111,7 @@ def measure(
         ``repetition``, and ``cpu_s``, ``status``, ``n_nodes`` and ``n_assignments`` of both checkouts,
         which end with ``_base`` and ``_head``. ``cpu_s`` is empty for problems that are only counted.
     """
-    chosen = [*COUNTED, *TIMED]
+    chosen = [*COUNTED, *timed]
     given = problems(chosen)
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in heads}
     with ExitStack() as stack:
@@ -152,11 +158,9 @@ def main(
         "results/timings/times.csv"
     ),
     new: Annotated[Path, typer.Option(help="The other checkout; default: this one.")] = ROOT,
-    repetitions: Annotated[int, typer.Option(min=8)] = REPETITIONS,
+    repetitions: Annotated[int, typer.Option(min=FEWEST)] = REPETITIONS,
 ) -> None:
     """Measure the CPU time of two checkouts in turn, and print the verdicts."""
-    from workflows.timing import judge
-
     if not (Path(old) / "dcreg").is_dir() or not old:
         print(
             f"error: OLD={old}: name a checkout, as in `make timings OLD=folder`", file=sys.stderr

@@ -41,11 +41,9 @@ def test_a_slow_down_is_found_in_19_of_20_trials_and_noise_gives_at_most_one_ala
 
 
 def test_the_interval_is_that_of_the_signed_rank_test():
-    logs = np.log([1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8])
+    logs = np.log([1.1, 1.2, 1.3, 1.4, 1.5, 1.8])
     ratio = hodges_lehmann(logs)
-    assert ratio.low == pytest.approx(
-        1.1
-    )  # two-sided p is 2 / 2^8 < 0.01, so both ends are extremes
+    assert ratio.low == pytest.approx(1.1)  # two-sided p is 2 / 2^6 < 0.05 < 4 / 2^6: the extremes
     assert ratio.high == pytest.approx(1.8)
     assert hodges_lehmann(logs[: FEWEST - 1]).verdict(1.05) == "unclear"
 
@@ -54,7 +52,7 @@ def test_the_interval_of_many_pairs_covers_the_truth_and_shrinks():
     draws = np.random.default_rng(0).normal(0.1, 0.1, (200, 60))
     ratios = [hodges_lehmann(row) for row in draws]
     covered = np.mean([ratio.low <= np.exp(0.1) <= ratio.high for ratio in ratios])
-    assert covered >= 0.97
+    assert 0.9 <= covered <= 0.99
     assert ratios[0].high / ratios[0].low < 1.12
 
 
