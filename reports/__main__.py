@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from workflows import CHECKOUT
+from workflows import CHECKOUT, HISTORY
 from workflows.cli import Experiment, say, user_errors
 
 app = typer.Typer(
@@ -217,6 +217,18 @@ def archived(
 
     name = Path(archive).name.removesuffix(".zip")
     say(f"pages     {build(archive, out or Path('results/archive', name), sha256)}")
+
+
+@app.command()
+@user_errors
+def history(
+    out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("results/history"),
+    records: Annotated[Path, typer.Option(help="Folder of the recorded versions.")] = HISTORY,
+) -> None:
+    """Draw all recorded versions, with the steps between them."""
+    from reports.history.page import build
+
+    say(f"history   {build(out, records)}")
 
 
 @app.command()
