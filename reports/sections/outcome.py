@@ -10,6 +10,7 @@ import pandas as pd
 from reports.ledger.evidence import QUICK, STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
+from reports.pairs import pair_rows
 from reports.standing import BEST, TIED, WORSE, Matrix, matrices
 from reports.tables import PENALTY, Tables, counted_time, is_right, share_interval
 from reports.theme import Style, listed, share
@@ -26,6 +27,7 @@ LIMITS = {
     "rotation_error_deg": "rotation error < {:g}°",
     "translation_error": "translation error < {:g}",
 }
+MOST_ROWS = 60  # of the table per pair; longer ones open with the first pair
 AMONG = "among the methods that are compared, "
 NEEDED = [
     "model", "method", "status", "outcome", "success", "gap", "bound_ratio", "certificate_scope",
@@ -39,8 +41,12 @@ def context(page: Page) -> dict[str, Any]:
     about = set(evidence.experiments) | ({STUDY} if evidence.study else set())
     judgements = judge(ledger(), evidence, about)
     rows, found = outcomes(tables), matrices(tables)
+    pairs = pair_rows(tables)
     return {
         "facts": facts(tables),
+        "pairs": pairs,
+        "pair_names": list(dict.fromkeys(row["shape"] for row in pairs)),
+        "most_rows": MOST_ROWS,
         "judgements": judgements,
         "counts": count(judgements),
         "claims": len(ledger().claims),
