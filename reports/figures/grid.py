@@ -82,7 +82,7 @@ class Grid:
         count = len(order)
         height = _TOP_PX + count * _NARROW_ROW_PX + (count - 1) * _NARROW_GAP_PX + _BOTTOM_PX
         inner = height - _TOP_PX - _BOTTOM_PX
-        layout: dict[str, Any] = {"height": height, "margin": _margin(56), "annotations": []}
+        layout: dict[str, Any] = {"height": height, "margin": _margin(44), "annotations": []}
         seen: set[int] = set()
         for position, which in enumerate(order):
             panel = self.panels[which]
@@ -123,6 +123,7 @@ class Grid:
             "type": panel.y_type,
             "title": {"text": y_title, "standoff": 6},
             "showticklabels": show_y,
+            "automargin": "left",
         }
         if panel.y_from_zero:
             y_axis["rangemode"] = "tozero"
