@@ -132,6 +132,7 @@ class Card(BaseModel):
     citation: str
     licence: str
     url: str = ""
+    # Methods of a family share a colour, which reports adapt to both themes, and differ by marker.
     color: str = Field(pattern=r"^#[0-9a-fA-F]{6}$")
     marker: str = "o"
     # Parameters with their stated defaults, shown in the report.

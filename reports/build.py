@@ -12,6 +12,7 @@ from reports.tables import Tables
 from workflows.discovery import modules
 
 HERE = Path(__file__).parent
+SCRIPTS = ("report.js", "versus.js")  # the first one is needed by the others
 
 
 def build(tables_dir: Path, out: Path) -> None:
@@ -64,7 +65,7 @@ def _render(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> str:
         sections=bodies,
         css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
         variables=theme.css_variables(page.styles.values()),
-        script=(HERE / "assets" / "report.js").read_text(encoding="utf-8"),
+        script="\n".join((HERE / "assets" / name).read_text(encoding="utf-8") for name in SCRIPTS),
         plotly=pack(plotly.read_bytes()),
         data={figure.id: pack_json(figure.payload) for figure in page.figures.values()},
     )

@@ -81,6 +81,7 @@ def run(
     select = [f"{axis}={values}" for axis, values in axes.items() if values]
     if cores != "all" and not (cores.isdecimal() and int(cores)):
         raise UserError(f"--cores {cores}: give a positive number, or all")
+    from workflows.live import View
     from workflows.running import INTERRUPTED, cores_of_job, find_profile, run_snakemake
 
     profiles = [find_profile(each) for each in profile or ()]
@@ -95,12 +96,11 @@ def run(
         plan = planned(experiment, select)
     name = plan.experiment.name
     folder = directory / "results" / name
+    jobs = 1 if timing else os.cpu_count() or 1 if cores == "all" else int(cores)
     if dry_run:
         from workflows.summary import print_plan
 
-        print_plan(
-            plan, folder, 1 if timing else os.cpu_count() or 1 if cores == "all" else int(cores)
-        )
+        print_plan(plan, folder, jobs)
         return
     print(
         f"plan      {name}: {sum(len(chunk.instances) for _, chunk in plan.jobs())} runs of "
@@ -118,7 +118,9 @@ def run(
         *("--resources", "fetching=1", *(["timing=1"] if timing else [])),
         *("--config", f"experiment={experiment}", f"select={' '.join(select)}", *needs),
     ]
-    if code := run_snakemake(directory, name, arguments, profiles):
+    if code := run_snakemake(
+        directory, name, arguments, profiles, lambda: View(plan, folder, jobs)
+    ):
         what = "stopped" if code == INTERRUPTED else "some stages failed; see the messages above"
         print(
             f"error: {what}. Finished runs are kept; the same command continues from here.",

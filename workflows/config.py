@@ -284,12 +284,19 @@ def _with_setting(method: MethodSettings, key: str, value: float | str) -> Metho
     factors = {"n_inliers_ratio": "n_p ×", "noise_factor": "noise_factor ×"}
     ours = "our " * (key == "front_end" and value != "oracle")
     shown_value = f"{ours}{value}" if text else f"{factors.get(key, f'{key} =')} {value:g}"
-    label = f"{label[:-1]}, {shown_value})" if label.endswith(")") else f"{label} ({shown_value})"
-    changed = {"name": f"{method.name}-{value if text else f'{key}{value:g}'}", "label": label}
+    name = f"{method.name}-{value if text else f'{key}{value:g}'}"
+    changed = {"name": name, "label": with_note(label, shown_value)}
     if key == "n_inliers_ratio":
         return MethodSettings(**{**method.model_dump(), **changed, key: value})
     options = {**method.options, key: value}
     return MethodSettings(**{**method.model_dump(), **changed, "options": options})
+
+
+def with_note(label: str, note: str) -> str:
+    """Return a label with a note in its last parentheses."""
+    if not note:
+        return label
+    return f"{label[:-1]}, {note})" if label.endswith(")") else f"{label} ({note})"
 
 
 def _check_variations(settings: Experiment) -> Iterable[str]:

@@ -10,12 +10,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from types import FrameType
-from typing import IO, NamedTuple
+from typing import IO, TYPE_CHECKING, NamedTuple
 
 import yaml
 
@@ -24,6 +24,9 @@ from workflows import CHECKOUT, UserError, provenance
 from workflows.blocks import EVIDENCE
 from workflows.config import Experiment
 from workflows.integrity import set_aside_damaged
+
+if TYPE_CHECKING:
+    from workflows.live import View
 
 INTERRUPTED = 130  # exit code, as in shells
 PATIENCE_S = 20.0  # for Snakemake to end after SIGTERM
@@ -84,11 +87,16 @@ def cores_of_job(experiment: Experiment) -> str:
 
 
 def run_snakemake(
-    directory: Path, name: str, arguments: Sequence[str], profiles: Sequence[Profile] = ()
+    directory: Path,
+    name: str,
+    arguments: Sequence[str],
+    profiles: Sequence[Profile] = (),
+    view_of: Callable[[], View] | None = None,
 ) -> int:
     """Run Snakemake on experiment `name` below `directory`; return its exit code, or `INTERRUPTED`.
 
-    The arguments must end with those of ``--config``. Later profiles override earlier ones.
+    The arguments must end with those of ``--config``. Later profiles override earlier ones. `view_of`
+    makes what shows the state of the runs; it is called once damaged results are set aside.
 
     Snakemake and its jobs form a separate process group. At Ctrl-C, SIGTERM or SIGHUP they receive
     SIGTERM, at which Snakemake starts no new job. At a second signal, or after `PATIENCE_S`, they are
@@ -123,20 +131,30 @@ def run_snakemake(
     with the_only_run(directory, name) as lock, NamedTemporaryFile("r", encoding="utf-8") as errors:
         _set_aside_damaged(directory / "results" / name)
         _correct_times(directory / "results" / name)
+        view = view_of() if view_of else None
         process = subprocess.Popen(
             [*command, f"errors={errors.name}"],
             stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE if view and view.is_live else None,
+            stderr=subprocess.STDOUT if view and view.is_live else None,
+            text=True,
             process_group=0,
             pass_fds=[lock.fileno()],
         )
         _write(lock, f"process {os.getpid()} (its Snakemake is process {process.pid})")
         before = {number: signal.signal(number, interrupt) for number in ENDING}
         try:
-            while process.poll() is None:
-                if time.monotonic() > deadline:
-                    os.killpg(process.pid, signal.SIGKILL)
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(timeout=0.5)
+            with view or nullcontext():
+                output = view.follow(process.stdout) if view and process.stdout else None
+                while process.poll() is None:
+                    if time.monotonic() > deadline:
+                        os.killpg(process.pid, signal.SIGKILL)
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(timeout=0.5)
+                    if view:
+                        view.update()
+                if output:
+                    output.join(timeout=PATIENCE_S)
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)

@@ -230,20 +230,20 @@ function runTraces(run, stage, work) {
   const gap = stage.upper.map((upper, i) => (upper === null || stage.lower[i] === null ? null : Math.max(0, upper - stage.lower[i])));
   return [[stage.time, "", "3"], [stage[work], "2", "4"]].flatMap(([x, top, bottom]) => {
     // with markers, as a search may end at its first event
-    const line = (y, axis, dash, what, width = 2) => ({
+    const line = (y, axis, what, symbol = run.symbol, width = 2) => ({
       x, y, xaxis: `x${axis}`, yaxis: `y${axis}`, mode: "lines+markers", name: nameOf(run.method),
-      line: { shape: "hv", dash, width }, marker: { size: 6, symbol: run.symbol, maxdisplayed: 12 }, meta: { method: run.method, role: what },
+      line: { shape: "hv", dash: run.dash, width }, marker: { size: 7, symbol, maxdisplayed: 12 }, meta: { method: run.method, role: what },
       hovertemplate: `<b>${nameOf(run.method)}</b> ${what}<br>%{y:.5g} at %{x:.4g}<br>${run.run}<extra></extra>`,
     });
-    const flat = (value, axis, what, method, dash) => ({
-      ...line([value, value], axis, dash, what, 1), mode: "lines", x: [x[0], x.at(-1)], meta: { method, role: what },
+    const flat = (value, axis, what, method) => ({
+      ...line([value, value], axis, what), mode: "lines", x: [x[0], x.at(-1)], line: { dash: "dot", width: 1 }, meta: { method, role: what },
     });
     return [
-      line(stage.lower, top, "solid", "lower bound"),
-      line(stage.upper, top, "dash", "upper bound"),
-      line(gap, bottom, "solid", "gap"),
-      ...(run.gap_tol ? [flat(run.gap_tol, bottom, "tolerance", run.method, "dot")] : []),
-      ...(run.truth !== null ? [flat(run.truth, top, "objective at the true pose", undefined, "dot")] : []),
+      line(stage.lower, top, "lower bound"),
+      line(stage.upper, top, "upper bound", `${run.symbol}-open`, 1.2),
+      line(gap, bottom, "gap"),
+      ...(run.gap_tol ? [flat(run.gap_tol, bottom, "tolerance", run.method)] : []),
+      ...(run.truth !== null ? [flat(run.truth, top, "objective at the true pose", undefined)] : []),
     ];
   });
 }
@@ -328,7 +328,7 @@ async function enlarge(index) {
   const [library, data] = await Promise.all([plotly(), payload("overlays")]);
   const item = data.cases[index], dialog = $("#overlay");
   $("#overlay-title").textContent = `${item.name}: ${item.title}`;
-  $("#overlay-facts").textContent = `${item.shape}, level ${item.level}, trial ${item.trial} · RMSE ${item.rmse} · ${item.status} · run ${item.run}`;
+  $("#overlay-facts").textContent = `${item.shape}${item.test === "pair" ? "" : `, level ${item.level}, trial ${item.trial}`} · RMSE ${item.rmse} · ${item.status} · run ${item.run}`;
   const replay = $(".replay", dialog);
   replay.hidden = !item.replay;
   $("code", replay).textContent = item.replay;
@@ -485,12 +485,13 @@ for (const table of $$("table.sortable")) {
 }
 
 // On a narrow screen a row is a card: each cell says what it is.
-for (const table of $$("table.stack")) {
+function titleCells(table) {
   const titles = [...table.tHead.rows[0].cells].map((head) => ("alone" in head.dataset ? "" : head.textContent));
   for (const row of [...table.tBodies[0].rows, ...(table.tFoot?.rows ?? [])]) {
     [...row.cells].forEach((cell, i) => { if (titles[i] && cell.tagName === "TD" && cell.textContent.trim()) cell.dataset.title = titles[i]; });
   }
 }
+$$("table.stack").forEach(titleCells);
 
 // ---- downloads ---------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from reports.figures.figure import Figure
+from reports.pairs import OWN_TEST
 from reports.tables import Tables, row_names
 from reports.theme import Style, number, words
 
@@ -45,7 +46,9 @@ def _case(
         "run": item["run_id"],
         "method": item["method"],
         "name": styles[item["method"]].name,
-        "shape": names.get(item["run_id"], item["shape"]),
+        "shape": item["shape"]
+        if item["test"] == OWN_TEST
+        else names.get(item["run_id"], item["shape"]),
         "test": item["test"],
         "level": item["level"],
         "trial": item["trial"],

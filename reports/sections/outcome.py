@@ -10,6 +10,7 @@ import pandas as pd
 from reports.ledger.evidence import QUICK, STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
+from reports.pairs import pair_rows
 from reports.standing import BEST, TIED, WORSE, Matrix, matrices
 from reports.tables import PENALTY, Tables, counted_time, is_right, share_interval
 from reports.theme import Style, listed, share
@@ -21,6 +22,7 @@ ID = "outcome"
 TITLE = "Outcome"
 POSITION = 10
 MAX_NAMED = 4
+MOST_ROWS = 60  # of the table per pair; longer ones open with the first pair
 AMONG = "among the methods that are compared, "
 NEEDED = [
     "model", "method", "status", "outcome", "success", "gap", "bound_ratio", "certificate_scope",
@@ -34,8 +36,12 @@ def context(page: Page) -> dict[str, Any]:
     about = set(evidence.experiments) | ({STUDY} if evidence.study else set())
     judgements = judge(ledger(), evidence, about)
     rows, found = outcomes(tables), matrices(tables)
+    pairs = pair_rows(tables)
     return {
         "facts": facts(tables),
+        "pairs": pairs,
+        "pair_names": list(dict.fromkeys(row["shape"] for row in pairs)),
+        "most_rows": MOST_ROWS,
         "judgements": judgements,
         "counts": count(judgements),
         "claims": len(ledger().claims),

@@ -31,6 +31,7 @@ from tests.unit import report_fixture
 from tests.unit.report_fixture import CARDS
 from workflows.attribution import VERDICTS
 from workflows.config import CONFIGS, load
+from workflows.labels import display_names
 from workflows.outcomes import attempted
 from workflows.records import SchemaError
 
@@ -490,8 +491,10 @@ def test_parameters_that_do_nothing_are_not_printed():
 
 def test_variants_of_one_method_look_different(styles):
     one, other = styles["dcreg-full"], styles["dcreg-half"]
-    assert (one.light, one.dash) != (other.light, other.dash)
-    assert {one.name, other.name} == {"dcreg-full", "dcreg-half"}  # shared display name
+    assert one.light == other.light
+    assert one.marker != other.marker
+    assert one.dash != other.dash
+    assert {one.name, other.name} == {"DC-Reg [dcreg-full]", "DC-Reg [dcreg-half]"}
 
 
 def test_a_method_looks_the_same_in_every_experiment(tables, styles):
@@ -503,42 +506,60 @@ def test_a_method_looks_the_same_in_every_experiment(tables, styles):
             assert getattr(style, look) == getattr(styles[label], look), label
 
 
-def test_methods_of_all_cards_differ_in_colour_or_marker():
-    cards = {name: registry.read_card(name) for name in registry.names()}
-    assert len(cards) > 20
-    assert {card.marker for card in cards.values()} <= set(theme.MARKERS)
-    for one, other in itertools.combinations(cards, 2):
-        for surface in theme.SURFACE.values():
-            colours = (theme.readable(cards[name].color, surface) for name in (one, other))
-            apart = theme.difference(*colours)
-            same_marker = cards[one].marker == cards[other].marker
-            assert apart > (0.1 if same_marker else 0.03), (one, other, apart)
+# Colours in linear RGB as people without red or green cones see them: Machado, Oliveira and Fernandes,
+# "A Physiologically-based Model for Simulation of Color Vision Deficiency", IEEE TVCG 15(6), 2009,
+# severity 1.0.
+VISION = {
+    "normal": np.eye(3),
+    "protanopia": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+         [-0.003882, -0.048116, 1.051998]]
+    ),
+    "deuteranopia": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+         [-0.011820, 0.042940, 0.968881]]
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("vision", VISION)
+def test_colours_of_families_differ_for_everybody_and_are_legible(vision):
+    cards = [registry.read_card(name) for name in registry.names()]
+    families = sorted({card.color for card in cards})
+    assert 6 < len(families) < 12
+    assert {card.marker for card in cards} <= set(theme.MARKERS)
+    assert len({(card.color, card.marker) for card in cards}) == len(cards)
+    for surface, background in theme.SURFACE.items():
+        shown = [theme.on_surface(color, surface) for color in families]
+        assert all(theme.contrast(color, background) >= 3 for color in shown)
+        seen = [theme.hex_of(VISION[vision] @ theme.linear_rgb(color)) for color in shown]
+        for one, other in itertools.combinations(seen, 2):
+            assert theme.difference(one, other) > 0.08, (surface, one, other)
 
 
 def test_variants_differ_in_every_experiment_and_look_the_same_in_all(tables):
     seen = {}
     for path in sorted(CONFIGS.glob("*.yaml")):
+        methods = load(path.stem).methods
         cards = {
             method.name: registry.read_card(method.baseline).model_dump()
-            | {"options": method.options, "n_inliers_ratio": method.n_inliers_ratio}
-            for method in load(path.stem).methods
+            | {"baseline": method.baseline, "options": method.options}
+            | {"n_inliers_ratio": method.n_inliers_ratio}
+            for method in methods
         }
-        runs = pd.DataFrame({"method": list(cards), "display_name": list(cards)})
+        names = display_names(methods)
+        runs = pd.DataFrame({"method": list(cards), "display_name": [names[key] for key in cards]})
         many = dataclasses.replace(tables, runs=runs, provenance={"methods": cards})
         styles = theme.method_styles(many)
-        looks = {name: (style.light, style.marker, style.dash) for name, style in styles.items()}
+        looks = {key: (style.light, style.marker, style.dash) for key, style in styles.items()}
         assert len(set(looks.values())) == len(cards), path.stem
+        assert {key: style.name for key, style in styles.items()} == names
+        assert not any(key in name for key, name in names.items() if "-" in key), path.stem
         for name, look in looks.items():
             # the list of scans sets options of methods that keep their names
             plain = not cards[name]["options"]
             assert seen.setdefault((name, plain), look) == look, (path.stem, name)
     assert len(seen) > 200
-
-
-def test_method_colours_are_legible_in_both_themes(styles):
-    for style in styles.values():
-        assert theme.contrast(style.light, theme.SURFACE["light"]) >= 3
-        assert theme.contrast(style.dark, theme.SURFACE["dark"]) >= 3
 
 
 @pytest.mark.parametrize(

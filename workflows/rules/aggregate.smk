@@ -14,7 +14,7 @@ rule aggregate:
         cards=digest([registry.read_card(method.baseline).model_dump() for method in PLAN.methods]),
         sources=sources(
             "workflows/stages/aggregate.py", "workflows/attribution.py", "workflows/records.py",
-            "workflows/outcomes.py",
+            "workflows/outcomes.py", "workflows/labels.py",
         ),
     run:
         run_stage("workflows", "aggregate", *CHOICE, OUT)

@@ -14,9 +14,9 @@ from baselines import registry
 from dcreg.files import whole_file
 from dcreg.status import Status
 from workflows import attribution, outcomes, provenance, records
-from workflows.config import MethodSettings
 from workflows.instances import read_problems
 from workflows.integrity import sealed_file
+from workflows.labels import display_names
 from workflows.metrics import METRICS
 from workflows.outcomes import OUTCOMES
 from workflows.stages.plan import Plan, plan_table
@@ -134,10 +134,11 @@ def _facts(plan: Plan) -> pl.LazyFrame:
     """Return a row per method with what its runs have in common."""
     import polars as pl
 
+    names = display_names(plan.experiment.methods)
     rows = [
         {
             "method": method.name,
-            "display_name": display_name(method),
+            "display_name": names[method.name],
             "provenance": registry.read_card(method.baseline).provenance,
             "n_inliers_ratio": method.n_inliers_ratio,
         }
@@ -174,21 +175,6 @@ def _left_out(plan: Plan, runs: pl.LazyFrame) -> pl.LazyFrame:
     )
     table = left_out.assign(status=Status.NOT_RUN.value, n_inliers=0, **answers)
     return pl.from_pandas(table).lazy()
-
-
-def display_name(method: MethodSettings) -> str:
-    """Return the displayed name of a line: its label, or the card's name with an unusual n_inliers.
-
-    A reconstruction is always marked as such.
-    """
-    card = registry.read_card(method.baseline)
-    if method.label:
-        is_unmarked = (
-            card.provenance == "reconstruction" and "reconstruct" not in method.label.lower()
-        )
-        return f"{method.label} (reconstructed)" if is_unmarked else method.label
-    name = card.display_name
-    return name if method.n_inliers_ratio == 1 else f"{name} (n_p × {method.n_inliers_ratio:g})"
 
 
 def accounting(runs: pd.DataFrame) -> pd.DataFrame:
@@ -277,6 +263,7 @@ def _points(points: np.ndarray) -> list[list[float]]:
 def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
     chosen = {axis: value for axis, value in plan.selection.model_dump().items() if value}
     reasons = runs[runs["outcome"] == "unavailable"].groupby("method")["message"].first()
+    names = display_names(plan.experiment.methods)
     return {
         "schema_version": records.SCHEMA_VERSION,
         "experiment": plan.experiment.name,
@@ -293,7 +280,7 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
             method.name: {
                 **registry.read_card(method.baseline).model_dump(),
                 "baseline": method.baseline,
-                "display_name": display_name(method),
+                "display_name": names[method.name],
                 "options": method.options,
                 "idle_options": sorted(registry.idle_options(method.baseline, method.options)),
                 "n_inliers_ratio": method.n_inliers_ratio,
