@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 _ROW_PX, _GAP_PX, _TOP_PX, _BOTTOM_PX = 190, 34, 50, 52
-_NARROW_ROW_PX, _NARROW_GAP_PX = 170, 58
+_NARROW_ROW_PX, _NARROW_GAP_PX = 170, 68
 
 
 @dataclass
