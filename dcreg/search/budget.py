@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -174,7 +174,11 @@ class Budget:
     patience_s : float or None
         Seconds that a search may take for a proof; inf: only the time of the budget limits it; None: the
         search continues even if no proof is expected.
+    observer : callable or None
+        Of all budgets of the process; receives every event, in normalised units, and changes no search.
     """
+
+    observer: ClassVar[Callable[[Event], None] | None] = None
 
     def __init__(
         self,
@@ -363,6 +367,8 @@ class Budget:
             root._reported_at, root._event = time.perf_counter(), event
             if event.kind != "heartbeat":
                 root.history.append(event)
+            if Budget.observer is not None:
+                Budget.observer(event)
             if self._listener is not None and self._listener(event):
                 root._stopped = True
                 for part in (root, *root._stages) if root._watch is not None else ():
