@@ -92,10 +92,10 @@ snakemake-report: setup
 report: setup
 	@$(BIN)/python -m reports archived $(ARCHIVE) $(if $(SHA256),--sha256 $(SHA256))
 
-## replay: repeat a stored run, RUN=run_id, and say whether the result is the same (RESULTS=folder of its results)
+## replay: repeat a stored run, RUN=run_id, and compare (RESULTS=folder; BOXES=1: a page with the boxes of its search)
 .PHONY: replay
 replay: setup
-	@$(BIN)/python -m workflows replay $(RUN) $(if $(RESULTS),--results $(RESULTS))
+	@$(BIN)/python -m $(if $(BOXES),reports boxes,workflows replay) $(RUN) $(if $(RESULTS),--results $(RESULTS))
 
 ## plan: print the runs of CONFIG=… and their estimated time without running them
 .PHONY: plan
@@ -107,15 +107,10 @@ plan: setup
 baselines: setup
 	@$(BIN)/python -m workflows baselines
 
-## new-baseline: create a method from the template, NAME=name (IN=folder: outside of the checkout)
+## new-baseline: create a method from the template, NAME=name
 .PHONY: new-baseline
 new-baseline: setup
-	@$(BIN)/python -m workflows new-baseline $(NAME) $(if $(IN),--in $(IN))
-
-## check: check methods against the contract, METHOD=name, folder or package
-.PHONY: check
-check: setup
-	@$(BIN)/python -m baselines.check $(METHOD)
+	@$(BIN)/python -m workflows new-baseline $(NAME)
 
 ## bench: compare the solver with its performance targets, tables in results/bench (QUICK=1: a few seconds)
 .PHONY: bench
@@ -211,21 +206,6 @@ record: setup
 compare: setup
 	@$(BIN)/python -m workflows compare $(BASE) $(HEAD) $(if $(EXACT),--exact)
 
-## library: run a method on the library of problems with proven optima, SOLVER=name (LIMIT=10 seconds; PROBLEMS="tiny fish"); print its table
-.PHONY: library
-library: setup
-	@$(BIN)/python -m workflows.library run $(or $(SOLVER),dcreg) $(PROBLEMS) $(if $(LIMIT),--limit $(LIMIT))
-
-## library-check: check all poses of the library by two evaluators, and a sample of its proofs (ALL=1: every stored proof)
-.PHONY: library-check
-library-check: setup
-	@$(BIN)/python -m data.library check $(if $(ALL),--all)
-
-## library-page: build the page of the library in results/library/page
-.PHONY: library-page
-library-page: setup
-	@$(BIN)/python -m reports library
-
 ## lock: remake the lock files with the hashes of their versions (needs a network)
 .PHONY: lock
 lock: $(VENV)-tools/.installed
@@ -269,7 +249,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@workflows/setup.sh $(VENV) $(PYTHON) $(SYSTEM_PACKAGES)
 	@touch $@
 
-## dev: install the tools for tests, style and manual, which `make demo` does not need (done by every target that needs them)
+# Tools for tests, style and manual; `make demo` does not need them.
 .PHONY: dev
 dev: setup $(VENV)/.dev
 

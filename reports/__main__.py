@@ -35,6 +35,32 @@ def experiment(
 
 @app.command()
 @user_errors
+def boxes(
+    run_id: Annotated[str, typer.Argument(help="From column run_id of tables/runs.csv.")],
+    experiment: Annotated[
+        str, typer.Option(help="Config of the run; default: the one recorded with the run.")
+    ] = "",
+    results: Annotated[
+        Path, typer.Option(help="Folder of results to search after the archives.")
+    ] = Path("results"),
+    out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("results/boxes"),
+) -> None:
+    """Repeat a run of DC-Reg, compare it with the stored one, and draw the boxes of its search.
+
+    The exit code is 1 if the results differ.
+    """
+    from reports.boxes import repeat
+    from workflows.replay import DIFFERENT
+
+    page, result = repeat(run_id, experiment, results, out)
+    say(f"stored    {result['stored']}")
+    say(f"boxes     {page}")
+    if result["stored"].startswith(DIFFERENT):
+        raise typer.Exit(1)
+
+
+@app.command()
+@user_errors
 def tables(
     tables: Annotated[Path, typer.Argument(help="Folder with the tables of an experiment.")],
     out: Annotated[Path, typer.Argument(help="Folder for the CSV files.")],

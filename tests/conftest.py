@@ -30,7 +30,10 @@ LONGEST = (
 # Files whose tests share nothing that is expensive to make: any worker may take a part of them.
 SPREAD = ("unit/test_compiling.py", "fuzz/test_fuzz.py")
 # A file shares the worker of another one whose fixture it uses.
-WITH = {"unit/test_report.py": "workflow/test_report_browser.py"}
+WITH = dict.fromkeys(
+    ("unit/test_report.py", "unit/test_runs.py", "workflow/test_runs_browser.py"),
+    "workflow/test_report_browser.py",
+)
 
 
 def share(nodeid: str) -> str:

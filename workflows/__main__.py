@@ -253,7 +253,7 @@ def versions(
 def replay(
     run_id: Annotated[str, typer.Argument(help="From column run_id of tables/runs.csv.")],
     experiment: Annotated[
-        str, typer.Option(help="Config of the run; default: that of the stored run.")
+        str, typer.Option(help="Config of the run; default: the one recorded with the run.")
     ] = "",
     results: Annotated[
         Path, typer.Option(help="Folder of results to search after the archives.")

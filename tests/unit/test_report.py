@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import dataclasses
-import gzip
 import itertools
 import json
 import re
@@ -16,9 +14,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from plotly.offline import get_plotlyjs
 from scipy.stats import binomtest
 
 from baselines import registry
+from dcreg.plot import packing
 from reports import page as pages
 from reports import paired, standing, theme
 from reports.build import build
@@ -87,24 +87,23 @@ def small(tmp_path_factory) -> tuple[Path, str]:
 
 
 class Page(HTMLParser):
-    """Everything in the page that could cause a request, and its packed files."""
+    """Everything in the page that could cause a request."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.links: list[str] = []
-        self.files: dict[str, bytes] = {}
-        self._file: str | None = None
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
-        values = dict(attrs)
         self.links += [v for k, v in attrs if k in ("src", "href", "srcset", "data") and v]
-        self._file = values.get("data-file")
 
-    def handle_data(self, data):
-        if self._file:
-            self.files[self._file] = gzip.decompress(base64.b64decode(data))
-            self._file = None
+
+def data_of(report: Path, name: str) -> bytes:
+    """The content of a file of data next to a page."""
+    text = (report / "data" / f"{name}.js").read_text(encoding="ascii")
+    stated, packed = re.fullmatch(r'store\("(.*)", "(.*)"\);\n', text).groups()
+    assert stated == name
+    return packing.unpack(packed)
 
 
 def broken(folder: Path, tmp_path: Path, edit) -> Path:
@@ -115,17 +114,27 @@ def broken(folder: Path, tmp_path: Path, edit) -> Path:
     return tmp_path
 
 
-def test_page_is_one_small_file_that_asks_for_nothing(html):
-    assert len(html) < 4_000_000
+def test_page_is_small_and_asks_for_nothing_but_the_files_next_to_it(html):
+    assert len(html) < 2_500_000
     assert all(link.startswith("#") for link in Page(html).links)
     assert "default-src 'none'" in html
     assert not re.search(r"url\(|@import", html.split("<body>")[0])
 
 
-def test_page_holds_the_very_tables(html, folder):
-    files = Page(html).files
+def test_the_very_tables_are_next_to_the_page(made_report, folder):
     for name in ("runs.csv", "traces.csv", "accounting.csv", "provenance.json"):
-        assert files[name] == (folder / name).read_bytes()
+        assert data_of(made_report, f"file-{name}") == (folder / name).read_bytes()
+    assert data_of(made_report, "plotly") == get_plotlyjs().encode()
+
+
+def test_a_new_page_replaces_the_data_of_an_earlier_one(small, tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "old.js").write_text("")
+    page = pages.Page(Tables.load(small[0]), {}, tmp_path)
+    page.add_download("a.csv", b"1", "one")
+    page.write_data(tmp_path)
+    names = {path.stem for path in (tmp_path / "data").iterdir()}
+    assert names == {"file-a.csv", "plotly"}
 
 
 def test_page_shows_the_accounting(html, tables):
@@ -140,11 +149,10 @@ def test_messages_are_escaped(html):
     assert "<b>segfault</b>" not in html
 
 
-def test_print_figures_are_next_to_the_page_and_in_it(html, made_report):
-    files = Page(html).files
+def test_print_figures_are_files_and_downloads(made_report):
     for name in ("levels-similarity2d.svg", "levels-rigid3d-mean.pdf"):
-        assert files[name] == (made_report / "figures" / name).read_bytes()
-    assert b"<svg" in files["levels-similarity2d.svg"]
+        assert data_of(made_report, f"file-{name}") == (made_report / "figures" / name).read_bytes()
+    assert b"<svg" in data_of(made_report, "file-levels-similarity2d.svg")
 
 
 def test_same_tables_give_the_same_page(small, tmp_path):
@@ -472,11 +480,11 @@ def test_ledger_is_on_the_first_page_of_its_experiment(small):
     assert "<code>low-3d</code>" not in page
 
 
-def test_a_run_at_its_limit_shows_the_limit_and_its_replay(html):
+def test_a_run_at_its_limit_shows_the_limit_and_leads_to_its_view(html):
     text = html.split('id="unfinished"')[1].split("</table>")[0]
     assert "hit its limit of 10 s (made-up bound)" in text
     assert "–" not in re.findall(r'class="reason">([^<]*)', text)
-    assert "python -m workflows replay --experiment made-up" in text
+    assert re.search(r'href="#run=[0-9a-f]{8}"', text)
 
 
 def test_the_page_shows_the_limit_that_a_run_hit(small):
@@ -630,7 +638,7 @@ def test_formats(text, expected):
 
 def test_packed_numbers_are_valid_json():
     packed = pages.pack_json({"a": [float("nan"), float("inf"), np.float64(1 / 3), np.int64(2)]})
-    assert json.loads(gzip.decompress(base64.b64decode(packed))) == {"a": [None, None, 0.333333, 2]}
+    assert json.loads(packing.unpack(packed)) == {"a": [None, None, 0.333333, 2]}
 
 
 def test_a_figure_is_one_file_that_is_found(small, tmp_path, monkeypatch):

@@ -51,7 +51,11 @@ def page(browser, made_report):
     yield browser
     errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
     assert errors == []
-    assert requests(browser) == {(made_report / "index.html").as_uri()}
+    folder = made_report.as_uri()  # nothing but the page and its data
+    assert requests(browser) <= {
+        f"{folder}/index.html",
+        *(f"{folder}/data/{path.name}" for path in (made_report / "data").iterdir()),
+    }
 
 
 def view(browser, width: int, scheme: str) -> None:
@@ -260,16 +264,14 @@ def test_methods_wrap_within_the_screen(page):
     assert max(edges) <= page.execute_script("return document.documentElement.clientWidth")
 
 
-@pytest.mark.parametrize(("test", "kind"), [("deformation", "scatter"), ("noise", "scatter3d")])
-def test_overlay_enlarges_with_its_replay_command(page, test, kind):
-    model = "similarity2d" if kind == "scatter" else "rigid3d"
+def test_an_overlay_opens_the_view_of_its_run(page):
     page.execute_script(
         "const s = document.querySelector('[data-filter=group]');"
         "s.value = arguments[0]; s.dispatchEvent(new Event('input', {bubbles: true}));"
         "document.getElementById('gallery').scrollIntoView()",
-        f"{model}|{test}",
+        "similarity2d|deformation",
     )
-    card = ".card:not([hidden])"
+    card = ".card[data-method]:not([hidden])"
     wait(page, f"document.querySelector('{card} canvas').dataset.drawn")
     colours = page.execute_script(
         f"const c = document.querySelector('{card} canvas');"
@@ -277,12 +279,11 @@ def test_overlay_enlarges_with_its_replay_command(page, test, kind):
         "return d.filter((v, i) => i % 4 === 3 && v > 0).length"
     )
     assert colours > 100  # something is drawn
+    run = page.execute_script(f"return document.querySelector('{card} canvas').dataset.run")
     page.execute_script(f"document.querySelector('{card} .view').click()")
-    wait(page, "document.getElementById('overlay-plot').dataset.drawn")
-    kinds = page.execute_script("return $('#overlay-plot').data.map(t => t.type)")
-    assert kinds == [kind] * 4
-    shown = page.find_element("css selector", ".replay code").text
-    assert "workflows replay --experiment made-up" in shown
+    wait(page, f"document.getElementById('run').dataset.drawn === '{run}'")
+    kinds = page.execute_script("return $('#run-overlay').data.map(t => t.type)")
+    assert set(kinds) == {"scatter"}
 
 
 def test_downloads_are_the_tables(page, made_report, tmp_path):

@@ -11,12 +11,13 @@ rule aggregate:
         shown(f"{VIEW}/tables/accounting.csv", "accounting", "Tables", "planned runs and outcomes"),
         shown(f"{VIEW}/tables/provenance.json", "provenance", "Provenance", "versions and config"),
         f"{VIEW}/tables/overlays.json",
+        f"{VIEW}/tables/clouds.parquet",
     params:
         config=digest(EXPERIMENT.model_dump()),
         cards=digest([registry.read_card(method.baseline).model_dump() for method in PLAN.methods]),
         sources=sources(
-            "workflows/stages/aggregate.py", "workflows/attribution.py", "workflows/records.py",
-            "workflows/outcomes.py", "workflows/labels.py",
+            "workflows/stages/aggregate.py", "workflows/stages/clouds.py", "workflows/attribution.py",
+            "workflows/records.py", "workflows/outcomes.py", "workflows/labels.py",
         ),
     run:
         run_stage("workflows", "aggregate", *CHOICE, OUT)
