@@ -31,7 +31,13 @@ LONGEST = (
 SPREAD = ("unit/test_compiling.py", "fuzz/test_fuzz.py")
 # A file shares the worker of another one whose fixtures it uses.
 WITH = dict.fromkeys(
-    ("unit/test_report.py", "workflow/test_accessibility.py"), "workflow/test_report_browser.py"
+    (
+        "unit/test_report.py",
+        "unit/test_runs.py",
+        "workflow/test_runs_browser.py",
+        "workflow/test_accessibility.py",
+    ),
+    "workflow/test_report_browser.py",
 )
 
 

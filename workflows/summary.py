@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,16 @@ from rich.markup import escape
 from rich.table import Table
 
 from baselines import registry
+from data.registry import GROUP as DATASETS
+from dcreg.plugins import plugins
 from dcreg.text import percent
 from workflows import records
 from workflows.labels import distinct
-from workflows.metrics import METRICS
+from workflows.metrics import BROKEN, METRICS
+from workflows.metrics import GROUP as ADDED_METRICS
 from workflows.outcomes import attempted, comparable_times
 from workflows.outlook import duration, outlook_of
-from workflows.stages.plan import Plan
+from workflows.stages.plan import Plan, size_notes
 
 SUMMARISED = [
     "run_id", "model", "test", "method", "display_name", "status", "outcome", "rmse", "success", "gap",
@@ -30,9 +34,10 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     """Summarise the attempted runs per method and test.
 
     A run without a pose counts with the worst RMSE and as no success; otherwise a method would look
-    better the more often it fails. Times are those of one machine.
+    better the more often it fails. Times are those of one machine; a run that failed has none.
     """
-    tried = attempted(runs[SUMMARISED].assign(time_solve_s=comparable_times(runs)))
+    times = comparable_times(runs).where(runs["outcome"] != "failed")
+    tried = attempted(runs[SUMMARISED].assign(time_solve_s=times))
     tried = tried.assign(
         rmse=tried["rmse"].fillna(METRICS["rmse"].worst),
         bounding=tried["gap"].notna(),
@@ -92,6 +97,8 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
             *(str(row.runs), str(row.finished), time if row.known else f"at most {time}"),
         )
     console.print(table)
+    for note in size_notes(plan):
+        console.print(note, markup=False, highlight=False)
     seconds = sum(row.seconds for row in outlook)
     at_most = "" if all(row.known for row in outlook) else "at most "
     console.print(
@@ -119,8 +126,25 @@ def print_baselines(console: Console | None = None) -> None:
         citations.append(f"{row['method']}: {row['citation']}")
     console = console or Console(width=None if os.isatty(1) else 180)
     console.print(table)
-    console.print("In a config: methods: [{name: any, baseline: BASELINE}]\n", highlight=False)
+    console.print(
+        "In a config: methods: [{name: any, baseline: BASELINE}]; in any experiment: make run METHODS="
+        "BASELINE,dcreg\n",
+        highlight=False,
+    )
+    for kind, origin in added_by_packages():
+        console.print(f"{kind}: {origin}", highlight=False, markup=False, soft_wrap=True)
     console.print("\n".join(citations), highlight=False, markup=False)
+
+
+def added_by_packages() -> Iterator[tuple[str, str]]:
+    """Yield what installed packages add, with its origin, and for metrics whether they are left out."""
+    for plugin in plugins(registry.GROUP):
+        yield "added method", plugin.origin
+    for plugin in plugins(DATASETS):
+        yield "added dataset", plugin.origin
+    for plugin in plugins(ADDED_METRICS):
+        reason = BROKEN.get(plugin.origin)
+        yield "added metrics", f"{plugin.origin}" + (f", left out: {reason}" if reason else "")
 
 
 def _table(model: str, part: pd.DataFrame) -> Table:

@@ -16,12 +16,17 @@ from reports.tables import PENALTY, Tables, counted_time, is_right, share_interv
 from reports.theme import Style, listed, share
 from workflows.metrics.errors import SUCCESS_SHARE
 from workflows.outcomes import attempted, comparable_times, main_machine
-from workflows.stages.evaluate import success_rmse
+from workflows.stages.evaluate import success_limits
 
 ID = "outcome"
 TITLE = "Outcome"
 POSITION = 10
 MAX_NAMED = 4
+LIMITS = {
+    "rmse": "RMSE < {:g}",
+    "rotation_error_deg": "rotation error < {:g}°",
+    "translation_error": "translation error < {:g}",
+}
 MOST_ROWS = 60  # of the table per pair; longer ones open with the first pair
 AMONG = "among the methods that are compared, "
 NEEDED = [
@@ -164,9 +169,12 @@ def _range(values: list[float], unit: str) -> str:
 def success_rule(runs: pd.DataFrame) -> str:
     """Return in words when a pose counts as right."""
     names = runs["dataset"].unique()
-    published = {name: limit for name in names if (limit := success_rmse(name)) is not None}
-    texts = [f"RMSE < {limit:g} ({name}, as published)" for name, limit in published.items()]
-    if len(published) < len(names):
+    stated = {name: limits for name in names if (limits := success_limits(name))}
+    texts = [
+        f"{' and '.join(LIMITS[key].format(limit) for key, limit in limits.items())} ({name})"
+        for name, limits in stated.items()
+    ]
+    if len(stated) < len(names):
         texts.append(f"error above the floor < {SUCCESS_SHARE:g} of the longest side")
     return "; ".join(texts)
 

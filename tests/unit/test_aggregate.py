@@ -12,7 +12,7 @@ from workflows.__main__ import app
 from workflows.blocks import Needs
 from workflows.config import MethodSettings, parse_selection
 from workflows.labels import display_name, display_names, distinct
-from workflows.stages.aggregate import replay_command, run_command
+from workflows.stages.aggregate import run_command
 from workflows.stages.plan import expand
 
 CONFIG = """
@@ -66,8 +66,7 @@ def test_the_commands_of_a_config_given_by_path_work(tmp_path):
     selection = parse_selection(["tests=noise", "levels=0.01"])
     plan = expand(config.load(str(path)), selection, config.origin(str(path)))
     run = next(plan.runs())
-    words = shlex.split(replay_command(plan, run.run_id))
-    done = CliRunner().invoke(app, words[3:])
+    done = CliRunner().invoke(app, ["replay", run.run_id, "--experiment", str(path)])
     assert done.exit_code == 0, done.output
     assert json.loads(done.output)["status"] == "converged"
     words = shlex.split(run_command(plan))

@@ -26,7 +26,11 @@ def page(browser, made_report):
     open_page(browser, made_report / "index.html")
     yield browser
     assert errors(browser) == []
-    assert requests(browser) == {(made_report / "index.html").as_uri()}
+    folder = made_report.as_uri()  # nothing but the page and its data
+    assert requests(browser) <= {
+        f"{folder}/index.html",
+        *(f"{folder}/data/{path.name}" for path in (made_report / "data").iterdir()),
+    }
 
 
 def drawn(browser, figure: str) -> str:
@@ -83,6 +87,32 @@ def test_first_screen_is_the_outcome(page):
     assert "10 s per run" in page.find_element("css selector", ".run").text
     times = [float(value) for value in column(page, "outcomes", 8)]
     assert max(times) > 1.0  # limits and missing poses count twice the limit
+
+
+def test_two_methods_are_compared(page):
+    element = drawn(page, "versus")
+    both = page.execute_script("return payload('versus')")["comparisons"][1]
+    a, b = (both["methods"].index(name) for name in ("dcreg-full", "fgr"))
+    redrawn(page, element, "[data-for=versus][data-pick=model]", "c.value = '1'")
+    for side, place in (("a", a), ("b", b)):
+        chosen = f"c.value = '{both['methods'][place]}'"
+        redrawn(page, element, f"[data-for=versus][data-pick={side}]", chosen)
+    won, equal, lost, _ = both["counts"]["right"][a][b]
+    answer = page.find_element("css selector", "#versus-answer").text
+    assert answer.startswith(
+        f"On {won + equal + lost} instances, only DC-Reg [dcreg-full] is right on"
+    )
+    rows = page.execute_script("return $$('#versus-differ tbody tr').map(row => row.innerText)")
+    assert len(rows) == won + lost
+    links = page.execute_script("return $$('#versus-differ a').map(a => a.hash)")
+    runs = {f"#run={run}" for place in (a, b) for run in both["runs"][place]["run"]}
+    assert len(set(links)) == 2 * len(rows)
+    assert set(links) <= runs
+    before = page.execute_script(f"return {element}.dataset.drawn")
+    page.execute_script("$('#versus-swap').click()")
+    wait(page, f"{element}.dataset.drawn !== '{before}'")
+    assert column(page, "versus-counts", 1)[0] == str(lost)
+    assert column(page, "versus-counts", 3)[0] == str(won)
 
 
 def test_sorting_puts_missing_values_last_both_ways(page):
@@ -188,16 +218,14 @@ def test_methods_wrap_within_the_screen(page):
     assert max(edges) <= page.execute_script("return document.documentElement.clientWidth")
 
 
-@pytest.mark.parametrize(("test", "kind"), [("deformation", "scatter"), ("noise", "scatter3d")])
-def test_overlay_enlarges_with_its_replay_command(page, test, kind):
-    model = "similarity2d" if kind == "scatter" else "rigid3d"
+def test_an_overlay_opens_the_view_of_its_run(page):
     page.execute_script(
         "const s = document.querySelector('[data-filter=group]');"
         "s.value = arguments[0]; s.dispatchEvent(new Event('input', {bubbles: true}));"
         "document.getElementById('gallery').scrollIntoView()",
-        f"{model}|{test}",
+        "similarity2d|deformation",
     )
-    card = ".card:not([hidden])"
+    card = ".card[data-method]:not([hidden])"
     wait(page, f"document.querySelector('{card} canvas').dataset.drawn")
     colours = page.execute_script(
         f"const c = document.querySelector('{card} canvas');"
@@ -205,12 +233,11 @@ def test_overlay_enlarges_with_its_replay_command(page, test, kind):
         "return d.filter((v, i) => i % 4 === 3 && v > 0).length"
     )
     assert colours > 100  # something is drawn
+    run = page.execute_script(f"return document.querySelector('{card} canvas').dataset.run")
     page.execute_script(f"document.querySelector('{card} .view').click()")
-    wait(page, "document.getElementById('overlay-plot').dataset.drawn")
-    kinds = page.execute_script("return $('#overlay-plot').data.map(t => t.type)")
-    assert kinds == [kind] * 4
-    shown = page.find_element("css selector", ".replay code").text
-    assert "workflows replay --experiment made-up" in shown
+    wait(page, f"document.getElementById('run').dataset.drawn === '{run}'")
+    kinds = page.execute_script("return $('#run-overlay').data.map(t => t.type)")
+    assert set(kinds) == {"scatter"}
 
 
 def test_downloads_are_the_tables(page, made_report, tmp_path):
