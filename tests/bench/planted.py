@@ -112,7 +112,7 @@ def main(
             counted = {LOOSENING: copies[LOOSENING]}
             timed = {name: copy for name, copy in copies.items() if name not in counted}
             tables = measure(ROOT, timed, repetitions, IN_KERNEL)
-            tables |= measure(ROOT, counted, repetitions=0)
+            tables |= measure(ROOT, counted, repetitions=0, timed=())
             rows += [outcome(name, trial, table) for name, table in tables.items()]
             out.parent.mkdir(parents=True, exist_ok=True)
             pd.DataFrame(rows).to_csv(out, index=False, float_format="%.5g")
