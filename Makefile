@@ -82,15 +82,25 @@ evidence: setup
 archive: setup
 	@$(BIN)/python -m reports archive $(if $(VERSION),--version $(VERSION))
 
+## snakemake-report: write Snakemake's own report on the finished experiment CONFIG=…: jobs, times, results
+.PHONY: snakemake-report
+snakemake-report: setup
+	@$(BIN)/python -m workflows snakemake-report $(CONFIG)
+
+## publish: write all results, configs and the code of own methods to results/published/VERSION.zip, and say how others read it
+.PHONY: publish
+publish: setup
+	@$(BIN)/python -m reports archive --publish --version $(or $(VERSION),mine)
+
 ## report: build all pages from an archive without a run, ARCHIVE=version|folder|zip file|address (SHA256=… of a zip file)
 .PHONY: report
 report: setup
 	@$(BIN)/python -m reports archived $(ARCHIVE) $(if $(SHA256),--sha256 $(SHA256))
 
-## replay: repeat a stored run, RUN=run_id, and say whether the result is the same
+## replay: repeat a stored run, RUN=run_id, and compare (RESULTS=folder; BOXES=1: a page with the boxes of its search)
 .PHONY: replay
 replay: setup
-	@$(BIN)/python -m workflows replay $(RUN)
+	@$(BIN)/python -m $(if $(BOXES),reports boxes,workflows replay) $(RUN) $(if $(RESULTS),--results $(RESULTS))
 
 ## plan: print the runs of CONFIG=… and their estimated time without running them
 .PHONY: plan
@@ -241,6 +251,13 @@ lint: dev
 docs: dev
 	@$(BIN)/python -m sphinx -q -W -b html docs results/docs
 	@echo "results/docs/index.html"
+
+## wheel: build the wheel of the library in results/dist; the same commit gives the same bytes
+.PHONY: wheel
+wheel: setup
+	@SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m pip wheel --quiet --no-deps \
+	  --disable-pip-version-check --no-build-isolation --wheel-dir results/dist .
+	@sha256sum results/dist/dcreg-*.whl
 
 ## floors: run the library's tests with the oldest packages that pyproject.toml allows
 .PHONY: floors

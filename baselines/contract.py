@@ -117,7 +117,7 @@ class Card(BaseModel):
     # family; own: a new method, by its own author.
     provenance: Literal["official", "library", "port", "reconstruction", "own"]
     # Language and origin of the code that takes the time; reports state it next to times.
-    language: str = Field(min_length=1)
+    language: str = Field(default="Python", min_length=1)
     input: str = "raw point sets"  # e.g. "FPFH correspondences"
     provides_bounds: bool = False
     certifies: str = "nothing"  # scope of the certificate
@@ -132,6 +132,7 @@ class Card(BaseModel):
     citation: str
     licence: str
     url: str = ""
+    # Methods of a family share a colour, which reports adapt to both themes, and differ by marker.
     color: str = Field(pattern=r"^#[0-9a-fA-F]{6}$")
     marker: str = "o"
     # Parameters with their stated defaults, shown in the report.

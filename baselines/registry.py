@@ -2,19 +2,18 @@
 
 A folder with ``card.yaml`` and ``adapter.py`` is a method; nothing else has to be edited to add one.
 Folders whose names start with ``_`` hold shared helpers or the template. Further folders of methods
-are named in the environment variable ``DCREG_BASELINES_PATH``.
+are named in the environment variable ``DCREG_BASELINES_PATH``. Installed packages add methods by the
+entry points of the group ``dcreg.baselines`` (`dcreg.plugins`).
 """
 
 from __future__ import annotations
 
-import colorsys
 import functools
 import hashlib
 import importlib.util
 import json
 import os
 import re
-import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import metadata
@@ -27,12 +26,16 @@ from pydantic import ValidationError
 
 from baselines.contract import Baseline, Card
 from baselines.dependencies import files_behind
+from baselines.options import check_option
 from dcreg._version import __version__ as repository_version
+from dcreg.plugins import Plugin, PluginError, plugins
 from dcreg.problem.problem import suggestion
 
 ROOT = Path(__file__).resolve().parent
-TEMPLATE = ROOT / "_template"
 VERSIONS = "versions.json"
+GROUP = "dcreg.baselines"  # of entry points
+SEARCH_PATH = "DCREG_BASELINES_PATH"
+NAME = re.compile(r"[a-z][a-z0-9_]*")
 NOT_YAML = (yaml.YAMLError, ValueError, AttributeError, RecursionError)  # what PyYAML raises
 
 # Facts of a card that are not part of the hash of a method's code. All but `version` are only shown.
@@ -47,31 +50,79 @@ class BaselineError(ValueError):
 
 
 def roots() -> list[Path]:
-    """Return the folders searched for methods, in order."""
-    extra = os.environ.get("DCREG_BASELINES_PATH", "")
-    return [ROOT, *(Path(entry).resolve() for entry in extra.split(os.pathsep) if entry)]
+    """Return the folders searched for methods.
+
+    Raises
+    ------
+    BaselineError
+        The environment variable names what is no folder.
+    """
+    entries = filter(None, os.environ.get(SEARCH_PATH, "").split(os.pathsep))
+    extra = [Path(entry).expanduser().resolve() for entry in entries]
+    for folder in extra:
+        if not folder.is_dir():
+            raise BaselineError(f"{SEARCH_PATH}: {folder} is not a folder; correct it")
+    return list(dict.fromkeys([ROOT, *extra]))
 
 
 def names(root: Path | None = None) -> list[str]:
     """Return the names of all methods, or of those under `root`, sorted."""
-    return sorted(
-        {
-            folder.name
-            for place in ([root] if root else roots())
-            for folder in place.iterdir()
-            if folder.is_dir()
-            and not folder.name.startswith(("_", "."))
-            and any((folder / part).is_file() for part in ("card.yaml", "adapter.py"))
-        }
-    )
+    folders = {
+        folder.name
+        for place in ([root] if root else roots())
+        for folder in place.iterdir()
+        if folder.is_dir()
+        and not folder.name.startswith(("_", "."))
+        and any((folder / part).is_file() for part in ("card.yaml", "adapter.py"))
+    }
+    return sorted(folders if root else folders | {plugin.name for plugin in plugins(GROUP)})
 
 
 def root_of(name: str) -> Path:
-    """Return the first of `roots` that has the method `name`."""
-    root = next((root for root in roots() if name in names(root)), None)
-    if root is None:
-        raise BaselineError(f"unknown method {name!r}{suggestion(name, names())}")
-    return root
+    """Return the folder that contains the folder of the method `name`."""
+    return folder_of(name).parent
+
+
+def folder_of(name: str, root: Path | None = None) -> Path:
+    """Return the folder of a method, in `root` if given.
+
+    Raises
+    ------
+    BaselineError
+        The method is unknown, defined by two parties, or its package has no such folder.
+    """
+    places = [place / name for place in ([root] if root else roots()) if name in names(place)]
+    added = [] if root else _plugins_named(name)
+    if len(places) + len(added) > 1:
+        parties = [*map(shown, places), *(plugin.origin for plugin in added)]
+        raise BaselineError(
+            f"method {name!r} is defined twice: by {' and by '.join(parties)}; rename one of them"
+        )
+    if places:
+        return places[0]
+    if not added:
+        raise BaselineError(f"unknown method {name!r}{suggestion(name, names(root))}")
+    if not NAME.fullmatch(name):
+        raise BaselineError(f"{added[0].origin}: {bad_name(name)}")
+    try:
+        return added[0].files
+    except PluginError as error:
+        raise BaselineError(str(error)) from error
+
+
+def origin_of(name: str) -> str:
+    """Return where a method comes from: its folder, or the package that adds it."""
+    added = _plugins_named(name)
+    return added[0].origin if added else shown(folder_of(name))
+
+
+def _plugins_named(name: str) -> list[Plugin]:
+    return [plugin for plugin in plugins(GROUP) if plugin.name == name]
+
+
+def bad_name(name: str) -> str:
+    """Return why `name` cannot be that of a method."""
+    return f"{name!r} cannot name a method: use a lower-case letter, then letters, digits or _"
 
 
 def load(name: str, *, root: Path | None = None, **options: Any) -> Baseline:
@@ -83,15 +134,16 @@ def load(name: str, *, root: Path | None = None, **options: Any) -> Baseline:
         For an unknown method or option, a value of the wrong type or out of its range, or a broken
         folder.
     """
-    root = root or root_of(name)
     card = read_card(name, root)
     for option, value in options.items():
-        _check_option(name, card, option, value)
-    module = _import_adapter(name, root)
+        if problem := check_option(card, option, value):
+            raise BaselineError(f"{name}: {problem}")
+    path = folder_of(name, root) / "adapter.py"
+    module = _import_adapter(name, path, is_plugin=root is None and bool(_plugins_named(name)))
     adapter = getattr(module, "Adapter", None)
     if not (isinstance(adapter, type) and issubclass(adapter, Baseline)):
         raise BaselineError(
-            f"{_shown(root / name / 'adapter.py')}: no class Adapter(Baseline); "
+            f"{shown(path)}: no class Adapter(Baseline); "
             "define one, see baselines/_template/adapter.py"
         )
     try:
@@ -102,26 +154,23 @@ def load(name: str, *, root: Path | None = None, **options: Any) -> Baseline:
 
 def read_card(name: str, root: Path | None = None) -> Card:
     """Return the validated ``card.yaml`` of method `name`."""
-    root = root or root_of(name)
-    if name not in (known := names(root)):
-        raise BaselineError(f"unknown method {name!r}{suggestion(name, known)}")
-    path = root / name / "card.yaml"
+    path = folder_of(name, root) / "card.yaml"
     try:
-        facts = _parsed(path.read_text(encoding="utf-8"))
+        content = _parsed(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise BaselineError(
-            f"{_shown(path)}: missing; copy it from baselines/_template/card.yaml"
+            f"{shown(path)}: missing; copy it from baselines/_template/card.yaml"
         ) from error
     except NOT_YAML as error:
-        raise BaselineError(f"{_shown(path)}: not valid YAML: {error}") from error
-    if not isinstance(facts, dict):
-        raise BaselineError(f"{_shown(path)}: must be a mapping of fields, is {facts!r}")
+        raise BaselineError(f"{shown(path)}: not valid YAML: {error}") from error
+    if not isinstance(content, dict):
+        raise BaselineError(f"{shown(path)}: must be a mapping of fields, is {content!r}")
     try:
-        return Card.model_validate(facts)
+        return Card.model_validate(content)
     except ValidationError as error:
         raise BaselineError(_card_message(path, error)) from error
     except TypeError as error:  # a range of what is not a number
-        raise BaselineError(f"{_shown(path)}: field ranges: {error}; correct it") from error
+        raise BaselineError(f"{shown(path)}: field ranges: {error}; correct it") from error
 
 
 @functools.lru_cache(maxsize=256)
@@ -154,10 +203,11 @@ def availability(root: Path | None = None) -> list[dict[str, Any]]:
 
     The row of a method that cannot be loaded has the reason only.
     """
-    return [_facts(name, root) for name in names(root)]
+    return [facts(name, root) for name in names(root)]
 
 
-def _facts(name: str, root: Path | None) -> dict[str, Any]:
+def facts(name: str, root: Path | None = None) -> dict[str, Any]:
+    """Return the row of a method."""
     try:
         method = load(name, root=root)
         card, reason = method.card, method.available()
@@ -202,10 +252,9 @@ def fingerprint(name: str, root: Path | None = None) -> str:
     (`known_codes`), otherwise the hash of its code. The version of the package that it requires is part
     of both.
     """
-    root = root or root_of(name)
     card, code = read_card(name, root), code_hash(name, root)
     package = f" {card.requires} {version(card)}" if card.requires else ""
-    known = known_codes(root).get(name, {})
+    known = known_codes(root or root_of(name)).get(name, {})
     if known.get("version") == card.version and code in known["codes"]:
         return f"{name} {card.version}{package}"
     return f"{code}{package}"
@@ -223,10 +272,10 @@ def known_codes(root: Path | None = None) -> dict[str, Any]:
 def code_hash(name: str, root: Path | None = None) -> str:
     """Hash all code and defaults that determine the results of method `name`.
 
-    This is its folder and all code of this checkout that it imports. It depends on files only: no
-    adapter is imported. Facts of the card that are only shown (`PRESENTATION`) do not count.
+    This is its folder, or the whole package that adds it, and all code of this checkout that it imports.
+    It depends on files only: no adapter is imported. Facts of the card that are only shown
+    (`PRESENTATION`) do not count.
     """
-    root = root or root_of(name)
     card = read_card(name, root)
     digest = hashlib.sha256()
     solving = card.model_dump(exclude=PRESENTATION)
@@ -239,50 +288,36 @@ def code_hash(name: str, root: Path | None = None) -> str:
 def code_of(name: str, root: Path | None = None) -> list[Path]:
     """Return the files that determine the results of a method: its folder and its imports.
 
-    All files of the folder but the card count, including child processes and data files.
+    All files of the folder but the card count, including child processes and data files. Of a package
+    that adds the method, all files count.
     """
-    root = root or root_of(name)
-    own = [path for path in _files(root / name) if path.name != "card.yaml"]
+    folder = folder_of(name, root)
+    if root is None and (added := _plugins_named(name)):
+        folder = added[0].package
+    own = [path for path in _files(folder) if path.name != "card.yaml"]
     behind = files_behind([*own, ROOT / "contract.py"], ROOT.parent)
-    return sorted(behind, key=_shown)
+    return sorted(behind, key=shown)
 
 
-def new_baseline(name: str, root: Path = ROOT) -> Path:
-    """Copy the template to ``root/name`` with an unused colour; return the folder."""
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        raise BaselineError(
-            f"{name!r} cannot name a method: use a lower-case letter, then letters, digits or _"
-        )
-    folder = root / name
-    if folder.exists():
-        raise BaselineError(f"{_shown(folder)} exists already; choose another name or remove it")
-    color = _unused_color(name, root)
-    shutil.copytree(TEMPLATE, folder, ignore=shutil.ignore_patterns("__pycache__"))
-    for path in _files(folder):
-        text = path.read_text(encoding="utf-8")
-        text = text.replace("METHOD_NAME", name).replace('"#000000"', f'"{color}"')
-        path.write_text(text, encoding="utf-8")
-    return folder
-
-
-def next_steps(name: str) -> str:
-    """Return what a user does after `new_baseline`, one step per line."""
-    return (
-        f"created baselines/{name} from the template; next:\n"
-        f"  1. write the method in baselines/{name}/adapter.py (Adapter.solve)\n"
-        f"  2. fill in baselines/{name}/card.yaml: name, summary, options and their ranges\n"
-        f"  3. test it: .venv/bin/python -m pytest tests/contract/test_baselines.py -k {name}\n"
-        f"  4. compare it: add '- {{name: {name}, baseline: {name}}}' to the methods of "
-        "an experiment, see docs/benchmark.md"
-    )
-
-
-def _import_adapter(name: str, root: Path) -> ModuleType:
-    path = root / name / "adapter.py"
+def _import_adapter(name: str, path: Path, *, is_plugin: bool) -> ModuleType:
+    """Import a file ``adapter.py``; a package that adds a method may use relative imports."""
     if not path.is_file():
-        raise BaselineError(f"{_shown(path)}: missing; copy it from baselines/_template/adapter.py")
-    if root == ROOT:
+        raise BaselineError(f"{shown(path)}: missing; copy it from baselines/_template/adapter.py")
+    if path.parents[1] == ROOT:
         return importlib.import_module(f"baselines.{name}.adapter")
+    try:
+        if is_plugin:
+            return importlib.import_module(f"{_plugins_named(name)[0].module}.adapter")
+        return _import_file(path)
+    except ImportError:
+        raise
+    except Exception as error:  # what the code of others raises
+        raise BaselineError(
+            f"{shown(path)}: cannot be loaded: {type(error).__name__}: {error}"
+        ) from error
+
+
+def _import_file(path: Path) -> ModuleType:
     module_name = f"_baselines_elsewhere.{hashlib.sha1(str(path).encode()).hexdigest()}"
     if module_name not in sys.modules:
         spec = importlib.util.spec_from_file_location(module_name, path)
@@ -290,47 +325,18 @@ def _import_adapter(name: str, root: Path) -> ModuleType:
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[module_name] = module  # dataclasses look up the module of their class
-        spec.loader.exec_module(module)
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[module_name]
+            raise
     return sys.modules[module_name]
-
-
-def _check_option(name: str, card: Card, option: str, value: Any) -> None:
-    if option not in card.parameters:
-        raise BaselineError(
-            f"{name}: unknown option {option!r}{suggestion(option, card.parameters)}"
-        )
-    default, admitted = card.parameters[option], card.ranges.get(option)
-    if value is None and (default is None or (admitted is not None and admitted.or_null)):
-        return
-    example = 1.0 if default is None and admitted is not None else default
-    if example is None or (value is None and isinstance(example, str)):
-        return  # checked by the method
-    if not _is_like(value, example):
-        raise BaselineError(
-            f"{name}: option {option} = {value!r} is a {type(value).__name__}; "
-            f"give a {type(example).__name__} such as "
-            + (f"{example!r}" if default is None else f"the default {default!r}")
-        )
-    if admitted is not None and not admitted.admits(value):
-        raise BaselineError(f"{name}: option {option} = {value!r}; give {admitted}")
-
-
-def _is_like(value: Any, example: Any) -> bool:
-    """Return whether a value has the type of another; an int is accepted as a float."""
-    if isinstance(example, list):
-        return isinstance(value, list) and all(
-            _is_like(entry, first) for first in example[:1] for entry in value
-        )
-    # A bool is an int in Python, but "iterations: true" is a mistake.
-    if isinstance(value, bool) or isinstance(example, bool):
-        return isinstance(value, bool) and isinstance(example, bool)
-    return isinstance(value, (int, float) if isinstance(example, float) else type(example))
 
 
 def _card_message(path: Path, error: ValidationError) -> str:
     problem = error.errors()[0]
     field = ".".join(str(part) for part in problem["loc"])
-    message = f"{_shown(path)}: field {field}: {problem['msg']}"
+    message = f"{shown(path)}: field {field}: {problem['msg']}"
     if problem["type"] == "extra_forbidden":
         return f"{message}{suggestion(field, Card.model_fields)}"
     if problem["type"] == "missing":
@@ -359,17 +365,6 @@ def _installed_version(distributions: Iterable[str]) -> str | None:
     return None
 
 
-def _unused_color(name: str, root: Path) -> str:
-    used = {read_card(other, root).color.lower() for other in names(root)}
-    hue = int(hashlib.sha1(name.encode()).hexdigest(), 16) % 360
-    while True:
-        red, green, blue = colorsys.hsv_to_rgb((hue % 360) / 360, 0.65, 0.75)
-        color = f"#{round(255 * red):02x}{round(255 * green):02x}{round(255 * blue):02x}"
-        if color not in used:
-            return color
-        hue += 7
-
-
-def _shown(path: Path) -> str:
+def shown(path: Path) -> str:
     """Return a path relative to the checkout if it lies there."""
     return str(path.relative_to(ROOT.parent) if path.is_relative_to(ROOT.parent) else path)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, model_validator
 
 from dcreg.problem import suggestion
 
@@ -65,9 +65,13 @@ class Card(BaseModel):
     notes: str = ""
     loader: str  # a stock loader of data/loaders.py, or "own" for loader.py in the same folder
     parameters: dict[str, Any] = {}  # for the loader
-    # RMSE of the true pairs below which a pose is a success, in the unit of the clouds, where the
-    # benchmark defines one; default: `workflows.metrics.errors.SUCCESS_SHARE`
+    # A pose is a success if each error that has a limit here is below it: the RMSE of the true pairs and
+    # the error of the translation in the unit of the target, the error of the rotation in degrees.
+    # Without any: `workflows.metrics.errors.SUCCESS_SHARE`
     success_rmse: float | None = Field(default=None, gt=0)
+    success_rotation_deg: float | None = Field(default=None, gt=0)
+    success_translation: float | None = Field(default=None, gt=0)
+    _path: Path | None = PrivateAttr(default=None)
 
     @model_validator(mode="before")
     @classmethod
@@ -85,6 +89,31 @@ class Card(BaseModel):
             if term not in self.model_fields_set:
                 raise ValueError(f"{term}: missing; add it, as the files are third-party data")
         return self
+
+    def placed(self, path: Path) -> Card:
+        """Return the card with the path of its file."""
+        self._path = path
+        return self
+
+    @property
+    def path(self) -> Path:
+        """The file of the card."""
+        return self._path or Path(__file__).parent / self.name / "card.yaml"
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the dataset, from which relative paths begin."""
+        return self.path.parent
+
+    @property
+    def success_limits(self) -> dict[str, float]:
+        """Limits of the errors of a successful pose, by metric; empty: the general rule."""
+        given = {
+            "rmse": self.success_rmse,
+            "rotation_error_deg": self.success_rotation_deg,
+            "translation_error": self.success_translation,
+        }
+        return {name: limit for name, limit in given.items() if limit is not None}
 
     def file(self, path: str) -> File:
         """Return the file with this mirror path."""
@@ -189,6 +218,10 @@ class Dataset(abc.ABC):
     def tests(self) -> dict[str, Axis]:
         """Return the recorded tests by name; empty for prototypes, to which disturbances are applied."""
         return {}
+
+    def size_note(self, n_points: int | None) -> str:
+        """Say how clouds are reduced if a config asks for `n_points`; empty if they are not."""
+        return ""
 
     def local_files(self) -> list[Path]:
         """Return files outside the dataset's folder and the cache that determine its instances."""

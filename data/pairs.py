@@ -51,7 +51,7 @@ class CloudPairs(RecordedDataset):
         if isinstance(card.dim, dict):
             raise DataError(f"{self.where}: dim: {card.dim!r}; give 2 or 3, the same for all pairs")
         self.parameters = parameters_of(card, PairParameters)
-        self.folder = Path(__file__).parent / card.name / Path(self.parameters.folder).expanduser()
+        self.folder = (card.folder / Path(self.parameters.folder).expanduser()).resolve()
 
     def shapes(self) -> list[str]:
         if not self.folder.is_dir():
@@ -84,6 +84,13 @@ class CloudPairs(RecordedDataset):
                 raise DataError(f"{place}: {len(paths)} files {role}.*; keep exactly one")
             found += paths
         return [*found, place / "pose.txt"]
+
+    def size_note(self, n_points: int | None) -> str:
+        most = n_points or self.parameters.n_points
+        return (
+            f"{self.name}: clouds of more than {most} points are reduced to {most} (n_points in the "
+            f"config, or in parameters of {self.where})"
+        )
 
     def local_files(self) -> list[Path]:
         return sorted(path for path in self.folder.glob("*/*") if path.is_file())

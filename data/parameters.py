@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -10,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from data.contract import Card, DataError, File
 from dcreg.problem import suggestion
 
+CHECKOUT = Path(__file__).resolve().parents[1]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 Count = Annotated[int, Field(ge=1, strict=True)]
 Points = Annotated[int, Field(ge=3, strict=True)]  # of a cloud
@@ -26,7 +28,12 @@ P = TypeVar("P", bound=Parameters)
 
 def place_of(card: Card) -> str:
     """Return the path of a card for messages."""
-    return f"data/{card.name}/card.yaml"
+    return shown(card.path)
+
+
+def shown(path: Path) -> str:
+    """Return a path relative to the checkout, if it is inside."""
+    return str(path.relative_to(CHECKOUT) if path.is_relative_to(CHECKOUT) else path)
 
 
 def parameters_of(card: Card, kind: type[P]) -> P:

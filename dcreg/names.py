@@ -43,6 +43,7 @@ START_BOXES = ("stationary", "radius")
 SIMILARITY_POSE, RIGID_POSE = POSE_SCOPES = ("similarity pose", "rigid pose")
 # Scopes in which it is at most that: norms differ by at most the distance of the points.
 (NORM_TRANSLATION,) = NORM_SCOPES = ("translation in norm space",)
+OF_SAMPLE = " of the sample"  # after the scope, if the bounds do not hold for all points
 
 # Suffix of a figure's file and the packages that draw it.
 FIGURE_PACKAGES = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import pandas as pd
 from scipy.stats import binomtest
@@ -106,7 +107,12 @@ def _p_value(best: pd.Series, other: pd.Series) -> float:
     """Return the p-value of McNemar's exact test, one-sided, on the instances that both attempted."""
     both = best.notna() & other.notna()
     best, other = best[both].astype(bool), other[both].astype(bool)
-    wins, losses = int((best & ~other).sum()), int((~best & other).sum())
+    return exact_p(int((best & ~other).sum()), int((~best & other).sum()), "greater")
+
+
+@lru_cache(maxsize=4096)
+def exact_p(wins: int, losses: int, alternative: str = "two-sided") -> float:
+    """Return the p-value of the exact sign test; of right and wrong poses, it is McNemar's test."""
     if wins + losses == 0:
         return 1.0
-    return float(binomtest(wins, wins + losses, alternative="greater").pvalue)
+    return float(binomtest(wins, wins + losses, alternative=alternative).pvalue)

@@ -7,8 +7,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from baselines import registry
 from dcreg import text
 from reports.tables import Tables
+from workflows.labels import distinct
 
 SURFACE = {"light": "#ffffff", "dark": "#161b22"}
 SOURCE_COLOR = {"light": "#c62828", "dark": "#ff8a80"}  # red circles, as in the paper
@@ -32,28 +36,27 @@ OUTCOME_COLOR = {
 FALLBACK_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#6a51a3")
 
 # matplotlib marker -> plotly symbol and its outline on the unit circle. Only filled shapes: open markers
-# mark runs at a limit.
+# mark runs at a limit. Variants of a method take the markers after that of its card, in this order.
 _MARKERS: dict[str, tuple[str, int, float, float]] = {
     # symbol, number of corners, turn of the first one, inner radius of a star (1: a polygon)
     "o": ("circle", 24, 0.0, 1.0),
     "s": ("square", 4, 0.125, 1.0),
     "^": ("triangle-up", 3, 0.0, 1.0),
-    "v": ("triangle-down", 3, 0.5, 1.0),
-    "<": ("triangle-left", 3, 0.75, 1.0),
-    ">": ("triangle-right", 3, 0.25, 1.0),
     "D": ("diamond", 4, 0.0, 1.0),
-    "d": ("diamond-tall", 2, 0.0, 0.55),
-    "P": ("cross", 4, 0.0, 0.3),
     "X": ("x", 4, 0.125, 0.3),
+    "v": ("triangle-down", 3, 0.5, 1.0),
+    "P": ("cross", 4, 0.0, 0.3),
     "*": ("star", 5, 0.0, 0.4),
+    "<": ("triangle-left", 3, 0.75, 1.0),
+    "d": ("diamond-tall", 2, 0.0, 0.55),
+    ">": ("triangle-right", 3, 0.25, 1.0),
     "p": ("pentagon", 5, 0.0, 1.0),
     "h": ("hexagon", 6, 0.0, 1.0),
     "H": ("hexagon2", 6, 1 / 12, 1.0),
     "8": ("octagon", 8, 1 / 16, 1.0),
 }
 MARKERS = tuple(_MARKERS)
-# Variants of a method share its marker and differ by dash, then by shade. Plotly's name of the dash ->
-# lengths of strokes and gaps, in line widths.
+# Plotly's name of the dash -> lengths of strokes and gaps, in line widths.
 DASHES: dict[str, tuple[float, ...]] = {
     "solid": (),
     "dash": (5, 2),
@@ -62,7 +65,7 @@ DASHES: dict[str, tuple[float, ...]] = {
     "longdash": (9, 2),
     "longdashdot": (9, 2, 1, 2),
 }
-_SHADES = (("#000000", 0.0), ("#000000", 0.3), ("#ffffff", 0.3))
+_LOOKS = len(MARKERS) * len(DASHES)
 # Words in the names of variants -> look, the same in every experiment.
 _VARIANTS = {
     "half": 1, "given": 3, "exact": 1, "100": 1, "mutual": 1,
@@ -70,7 +73,13 @@ _VARIANTS = {
     "full": 3, "nearest": 3, "tight": 4, "all": 4, "fpfh": 5, "pose": 17,
     "several": 5, "multi": 6, "norm": 6,
 }  # fmt: skip
-_LOOKS = len(DASHES) * len(_SHADES)
+# Lightness of methods in OKLab: the range in cards, and the legible range on each surface.
+_IN_CARDS = (0.3, 0.9)
+_LIGHTNESS = {"light": (0.28, 0.66), "dark": (0.54, 0.96)}
+_TO_CONES = np.array([[0.4122, 0.5363, 0.0514], [0.2119, 0.6807, 0.1074], [0.0883, 0.2817, 0.6300]])
+_TO_OKLAB = np.array(
+    [[0.2105, 0.7936, -0.0041], [1.9780, -2.4286, 0.4506], [0.0259, 0.7828, -0.8087]]
+)
 
 MISSING = "–"
 
@@ -109,40 +118,72 @@ class Style:
 
 
 def method_styles(tables: Tables) -> dict[str, Style]:
-    """Return a distinct style per method label, from the method cards."""
+    """Return a distinct style per method, the same in every experiment.
+
+    Methods of a family share a colour. The marker is that of the method's card; variants of a method have
+    other markers and dashes.
+    """
     first = tables.runs.drop_duplicates("method").set_index("method")
-    names = first["display_name"].to_dict()
-    used: set[tuple[str, int]] = set()
+    names = distinct({label: str(first.loc[label, "display_name"]) for label in tables.methods})
+    used: set[tuple[str, str, str]] = set()
     styles = {}
     for index, label in enumerate(tables.methods):
         card = tables.cards.get(label, {})
-        color = str(card.get("color") or FALLBACK_COLORS[index % len(FALLBACK_COLORS)])
-        wanted = _look(label, card)
-        looks = [(wanted + step) % _LOOKS for step in range(_LOOKS)]
-        look = next((look for look in looks if (color, look) not in used), looks[0])
-        used.add((color, look))
-        shade = mix(color, *_SHADES[look // len(DASHES)])
-        marker = str(card.get("marker", "o"))
-        shared = list(names.values()).count(names[label]) > 1
+        color, marker = _card_look(card, FALLBACK_COLORS[index % len(FALLBACK_COLORS)])
+        variant = _variant(label, card)
+        looks = [_nth_look(marker, variant + step) for step in range(_LOOKS)]
+        look = next((look for look in looks if (color, *look) not in used), looks[0])
+        used.add((color, *look))
         styles[label] = Style(
             label=label,
-            name=label if shared or not names[label] else names[label],
+            name=names[label],
             variable=f"--method-{index}",
-            light=readable(shade, SURFACE["light"]),
-            dark=readable(shade, SURFACE["dark"]),
-            marker=marker if marker in _MARKERS else "o",
-            dash=list(DASHES)[look % len(DASHES)],
+            light=on_surface(color, "light"),
+            dark=on_surface(color, "dark"),
+            marker=look[0],
+            dash=look[1],
         )
     return styles
 
 
-def _look(label: str, card: dict[str, Any]) -> int:
-    """Return 0 for the main row of a method, otherwise a look by the words of its name."""
+def _card_look(card: dict[str, Any], otherwise: str) -> tuple[str, str]:
+    """Return colour and marker of a method: those of its present card, also for older tables."""
+    baseline = str(card.get("baseline", ""))
+    if baseline in registry.names():
+        present = registry.read_card(baseline)
+        return present.color, present.marker
+    marker = str(card.get("marker", "o"))
+    return str(card.get("color") or otherwise), marker if marker in _MARKERS else "o"
+
+
+def _nth_look(marker: str, n: int) -> tuple[str, str]:
+    """Return marker and dash of the n-th variant; all pairs of the two occur before one repeats."""
+    place = MARKERS.index(marker) + n + n // math.lcm(len(MARKERS), len(DASHES))
+    return MARKERS[place % len(MARKERS)], list(DASHES)[n % len(DASHES)]
+
+
+def _variant(label: str, card: dict[str, Any]) -> int:
+    """Return 0 for the main row of a method, otherwise a number by the words of its name."""
     is_plain = not card.get("options") and card.get("n_inliers_ratio", 1) == 1
     if is_plain or "-" not in label:
         return 0
     known = [_VARIANTS[word] for word in label.split("-")[1:] if word in _VARIANTS]
     return sum(look * len(DASHES) ** place for place, look in enumerate(known[:2])) or 1
+
+
+def on_surface(color: str, surface: str) -> str:
+    """Return the colour of a method on the surface ``light`` or ``dark``.
+
+    The lightness is moved into the range that is legible there, so that colours keep their order.
+    """
+    lightness, *hue = _oklab(color)
+    wanted = float(np.interp(lightness, _IN_CARDS, _LIGHTNESS[surface]))
+    for chroma in np.linspace(1.0, 0.0, 41):  # the display shows only some colours of a lightness
+        cones = np.linalg.solve(_TO_OKLAB, [wanted, *(chroma * np.array(hue))]) ** 3
+        linear = np.linalg.solve(_TO_CONES, cones)
+        if linear.min() >= -1e-3 and linear.max() <= 1.0 + 1e-3:
+            break
+    return readable(hex_of(linear), SURFACE[surface], ratio=3.0)
 
 
 def difference(one: str, other: str) -> float:
@@ -151,18 +192,20 @@ def difference(one: str, other: str) -> float:
 
 
 def _oklab(color: str) -> tuple[float, ...]:
-    r, g, b = (
-        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in _channels(color)
-    )
-    l, m, s = (
-        (x * r + y * g + z * b) ** (1 / 3)
-        for x, y, z in ((0.4122, 0.5363, 0.0514), (0.2119, 0.6807, 0.1074), (0.0883, 0.2817, 0.63))
-    )
-    return (
-        0.2105 * l + 0.7936 * m - 0.0041 * s,
-        1.978 * l - 2.4286 * m + 0.4506 * s,
-        0.0259 * l + 0.7828 * m - 0.8087 * s,
-    )
+    return tuple(_TO_OKLAB @ np.cbrt(_TO_CONES @ linear_rgb(color)))
+
+
+def linear_rgb(color: str) -> np.ndarray:
+    """Return a hex colour in linear RGB, from 0 to 1."""
+    encoded = np.array(_channels(color))
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def hex_of(linear: np.ndarray) -> str:
+    """Return a colour in linear RGB as hex; values outside of 0 to 1 are cut."""
+    clipped = np.clip(linear, 0.0, 1.0)
+    encoded = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
+    return "#" + "".join(f"{round(255 * value):02x}" for value in encoded)
 
 
 def readable(color: str, surface: str, ratio: float = 3.2) -> str:
@@ -192,8 +235,7 @@ def _channels(color: str) -> list[float]:
 
 
 def _luminance(color: str) -> float:
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in _channels(color)]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    return float(linear_rgb(color) @ [0.2126, 0.7152, 0.0722])
 
 
 def number(value: float | None, digits: int = 3) -> str:

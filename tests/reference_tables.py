@@ -9,7 +9,7 @@ import pandas as pd
 
 from baselines import registry
 from workflows import attribution, outcomes, records
-from workflows.stages.aggregate import display_name
+from workflows.labels import display_names
 from workflows.stages.plan import Plan, plan_table
 
 
@@ -24,7 +24,7 @@ def join_runs(plan: Plan, folder: Path) -> pd.DataFrame:
         )
     )
     methods = {method.name: method for method in plan.methods}
-    names = {name: display_name(method) for name, method in methods.items()}
+    names = display_names(plan.experiment.methods)
     cards = {name: registry.read_card(method.baseline) for name, method in methods.items()}
     runs = runs.assign(
         schema_version=records.SCHEMA_VERSION,

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -81,7 +82,10 @@ def run(
     select = [f"{axis}={values}" for axis, values in axes.items() if values]
     if cores != "all" and not (cores.isdecimal() and int(cores)):
         raise UserError(f"--cores {cores}: give a positive number, or all")
+    from workflows.live import View
     from workflows.running import INTERRUPTED, cores_of_job, find_profile, run_snakemake
+    from workflows.stages.plan import size_notes
+    from workflows.stand_ins import fetchable
 
     profiles = [find_profile(each) for each in profile or ()]
     needs: list[str] = []
@@ -91,16 +95,17 @@ def run(
         path, select = _store_needs(experiment, methods.split(","), directory), []
         needs = [f"needs={path.resolve()}"]
         plan = planned(experiment, select, path)
-    else:
+    elif dry_run:
         plan = planned(experiment, select)
+    else:
+        experiment, select, plan = fetchable(experiment, select)
     name = plan.experiment.name
     folder = directory / "results" / name
+    jobs = 1 if timing else os.cpu_count() or 1 if cores == "all" else int(cores)
     if dry_run:
         from workflows.summary import print_plan
 
-        print_plan(
-            plan, folder, 1 if timing else os.cpu_count() or 1 if cores == "all" else int(cores)
-        )
+        print_plan(plan, folder, jobs)
         return
     print(
         f"plan      {name}: {sum(len(chunk.instances) for _, chunk in plan.jobs())} runs of "
@@ -108,6 +113,8 @@ def run(
         f"and {len(plan.methods)} methods",
         flush=True,
     )
+    for note in size_notes(plan):
+        print(f"points    {note}", flush=True)
     if Path(experiment).is_file():
         experiment = str(Path(experiment).resolve())
     if cores == "all" and any(each.is_remote for each in profiles):
@@ -118,7 +125,9 @@ def run(
         *("--resources", "fetching=1", *(["timing=1"] if timing else [])),
         *("--config", f"experiment={experiment}", f"select={' '.join(select)}", *needs),
     ]
-    if code := run_snakemake(directory, name, arguments, profiles):
+    if code := run_snakemake(
+        directory, name, arguments, profiles, lambda: View(plan, folder, jobs)
+    ):
         what = "stopped" if code == INTERRUPTED else "some stages failed; see the messages above"
         print(
             f"error: {what}. Finished runs are kept; the same command continues from here.",
@@ -127,6 +136,24 @@ def run(
         raise typer.Exit(code)
     say("all stages")
     summary(folder / plan.view)
+
+
+@app.command("snakemake-report")
+@user_errors
+def snakemake_report(
+    experiment: Experiment,
+    directory: Annotated[Path, typer.Option(help="Folder that contains results/.")] = CHECKOUT,
+) -> None:
+    """Write Snakemake's own report on a finished experiment: jobs, run times, results with captions."""
+    from workflows.running import snakemake_report as write
+
+    plan = planned(experiment)
+    name = plan.experiment.name
+    if Path(experiment).is_file():
+        experiment = str(Path(experiment).resolve())
+    out = directory / "results" / name / "snakemake-report.html"
+    write(directory, name, [f"experiment={experiment}"], out)
+    say(f"report    {out} ({out.stat().st_size / 1e6:.1f} MB)")
 
 
 @app.command()
@@ -248,7 +275,7 @@ def versions(
 def replay(
     run_id: Annotated[str, typer.Argument(help="From column run_id of tables/runs.csv.")],
     experiment: Annotated[
-        str, typer.Option(help="Config of the run; default: that of the stored run.")
+        str, typer.Option(help="Config of the run; default: the one recorded with the run.")
     ] = "",
     results: Annotated[
         Path, typer.Option(help="Folder of results to search after the archives.")
@@ -305,13 +332,16 @@ def baselines() -> None:
 @app.command()
 @user_errors
 def new_baseline(
-    name: Annotated[str, typer.Argument(help="Name of the new folder of baselines/.")],
+    name: Annotated[str, typer.Argument(help="Name of the new method.")],
+    folder: Annotated[Path, typer.Option("--in", help="Folder of methods.")] = CHECKOUT
+    / "baselines",
 ) -> None:
-    """Create ``baselines/NAME`` from the template."""
-    from baselines import registry
+    """Create the folder of a method from the template, in ``baselines/`` or elsewhere."""
+    from baselines import template
 
-    registry.new_baseline(name)
-    print(registry.next_steps(name))
+    root = folder.expanduser().resolve()
+    template.new_baseline(name, root)
+    print(template.next_steps(name, root))
 
 
 app.add_typer(commands.app)
@@ -321,8 +351,10 @@ def _store_needs(experiment: str, methods: list[str], directory: Path) -> Path:
     """Store the archived blocks of an experiment, with one's own methods; return the file."""
     from workflows.beside import needs_beside
     from workflows.blocks import EVIDENCE, NEEDS, Needs
+    from workflows.config import with_methods
 
     plan = planned(experiment)
+    plan = replace(plan, methods=tuple(with_methods(plan.experiment, methods).methods))
     path = directory / "results" / plan.experiment.name / EVIDENCE / NEEDS
     known = Needs.read(path) if path.is_file() else Needs({})
     needs_beside(plan, methods, known).write(path)

@@ -37,7 +37,7 @@ def needs_beside(plan: Plan, methods: Sequence[str], known: Needs) -> Needs:
         if name not in names:
             raise UserError(
                 f"--methods: experiment {plan.experiment.name} has no method "
-                f"{name!r}{suggestion(name, names)}; add it to the config"
+                f"{name!r}{suggestion(name, names)}, nor does `make baselines` list it"
             )
     trials = {test: dict(own) for test, own in known.trials.items()}
     for (test, method), count in _archived_blocks(plan, methods).items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -11,10 +12,12 @@ from pydantic import Field, ValidationError
 
 from baselines import registry
 from baselines.contract import Limits
+from data import registry as data
 from data.parameters import explain, key_path
 from dcreg.problem import suggestion
 from workflows import CHECKOUT, shown
-from workflows.compose import QUICK, TIER, ConfigError, has_quick_part, read
+from workflows.compose import EMBEDDED, QUICK, TIER, ConfigError, has_quick_part, read
+from workflows.embedded import with_stand_ins
 from workflows.grid import DatasetSettings, Model, check_datasets, check_size, check_tier
 from workflows.parts import Part, part_of
 
@@ -105,14 +108,17 @@ class Place(NamedTuple):
     path: Path
     quick: bool = False
     n_points: int | None = None  # of the tier; None: as in the config
+    embedded: bool = False  # on embedded shapes
 
 
 def find(experiment: str) -> Place:
     """Return the config of an experiment, given by path or by name, such as ``demo``.
 
     ``paper2d-quick`` is the quick part of a config, ``paper2d-40`` its tier of 40 points per shape, and
-    ``paper2d-40-quick`` the quick part of the tier.
+    ``paper2d-40-quick`` the quick part of the tier. The ending ``-embedded`` replaces the shapes.
     """
+    if experiment.endswith(EMBEDDED):
+        return find(experiment.removesuffix(EMBEDDED))._replace(embedded=True)
     path = Path(experiment)
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return Place(path)
@@ -123,6 +129,11 @@ def find(experiment: str) -> Place:
         return Place(CONFIGS / f"{tier['whole']}.yaml", name != experiment, n_points)
     if name in known:
         return Place(CONFIGS / f"{name}.yaml", name != experiment)
+    if path.suffix in (".yaml", ".yml") or len(path.parts) > 1:
+        raise ConfigError(
+            f"{experiment}: no such config file in {Path.cwd()}; correct the path, or give one of "
+            f"{', '.join(known)}"
+        )
     raise ConfigError(f"no experiment {experiment!r}{suggestion(experiment, known)}")
 
 
@@ -133,7 +144,7 @@ def origin(experiment: str) -> str:
     if path.parent != CONFIGS:
         return shown(path)
     tier = "" if place.n_points is None else f"-{place.n_points}"
-    return path.stem + tier + QUICK * place.quick
+    return path.stem + tier + QUICK * place.quick + EMBEDDED * place.embedded
 
 
 def load(experiment: str) -> Experiment:
@@ -147,6 +158,7 @@ def load(experiment: str) -> Experiment:
         Lists all problems.
     """
     place = find(experiment)
+    search_next_to(place.path)
     settings = _load(place)
     if not place.quick and has_quick_part(place.path):
         try:
@@ -157,10 +169,39 @@ def load(experiment: str) -> Experiment:
     return settings
 
 
+def search_next_to(path: Path) -> None:
+    """Let folders ``baselines`` and ``data`` next to a config hold methods and datasets.
+
+    Child processes inherit the two environment variables.
+    """
+    for variable, name in ((registry.SEARCH_PATH, "baselines"), (data.SEARCH_PATH, "data")):
+        folder = path.resolve().parent / name
+        known = [entry for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
+        if folder.is_dir() and folder != CHECKOUT / name and str(folder) not in known:
+            os.environ[variable] = os.pathsep.join([*known, str(folder)])
+
+
+def with_methods(settings: Experiment, names: Iterable[str]) -> Experiment:
+    """Add methods by name, with their default options, to an experiment that lacks them.
+
+    Names that are no methods are left out: the check of a selection reports them.
+    """
+    known = {method.name for method in settings.methods}
+    missing = [name for name in dict.fromkeys(names) if name not in known]
+    added = [
+        _with_its_limits(settings, MethodSettings(name=name, baseline=name))
+        for name in missing
+        if name in registry.names()
+    ]
+    return settings.model_copy(update={"methods": [*settings.methods, *added]})
+
+
 def _load(place: Place) -> Experiment:
     """Read and check the experiment of a config, its quick part, or a tier."""
     path = place.path
-    content = read(*place)
+    content = read(path, place.quick, place.n_points)
+    if place.embedded:
+        content = with_stand_ins(content)
     try:
         settings = Experiment.model_validate(content)
     except ValidationError as error:
@@ -284,12 +325,19 @@ def _with_setting(method: MethodSettings, key: str, value: float | str) -> Metho
     factors = {"n_inliers_ratio": "n_p ×", "noise_factor": "noise_factor ×"}
     ours = "our " * (key == "front_end" and value != "oracle")
     shown_value = f"{ours}{value}" if text else f"{factors.get(key, f'{key} =')} {value:g}"
-    label = f"{label[:-1]}, {shown_value})" if label.endswith(")") else f"{label} ({shown_value})"
-    changed = {"name": f"{method.name}-{value if text else f'{key}{value:g}'}", "label": label}
+    name = f"{method.name}-{value if text else f'{key}{value:g}'}"
+    changed = {"name": name, "label": with_note(label, shown_value)}
     if key == "n_inliers_ratio":
         return MethodSettings(**{**method.model_dump(), **changed, key: value})
     options = {**method.options, key: value}
     return MethodSettings(**{**method.model_dump(), **changed, "options": options})
+
+
+def with_note(label: str, note: str) -> str:
+    """Return a label with a note in its last parentheses."""
+    if not note:
+        return label
+    return f"{label[:-1]}, {note})" if label.endswith(")") else f"{label} ({note})"
 
 
 def _check_variations(settings: Experiment) -> Iterable[str]:

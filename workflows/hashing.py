@@ -40,3 +40,15 @@ def digest_files(root: Path, entries: Iterable[str], length: int = 12) -> str:
             if file.is_file() and "__pycache__" not in file.parts:
                 total.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
     return total.hexdigest()[:length]
+
+
+def digest_paths(paths: Iterable[Path], root: Path, length: int = 12) -> str:
+    """Hash files by content, and by names: relative to `root`, or alone if they lie elsewhere."""
+    named = [
+        (path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name, path)
+        for path in paths
+    ]
+    total = hashlib.sha256()
+    for name, path in sorted(named):
+        total.update(name.encode() + b"\0" + path.read_bytes())
+    return total.hexdigest()[:length]

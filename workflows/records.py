@@ -7,6 +7,7 @@ removing a column raises `SCHEMA_VERSION`; adding one does not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,9 +32,8 @@ RUN_AGAIN = "run the experiment again with `python -m workflows run EXPERIMENT`"
 class Column(NamedTuple):
     kind: type
     meaning: str
-    recorded: bool = (
-        False  # part of the small table that `workflows.recording` keeps with a version
-    )
+    recorded: bool = False  # part of the table that `workflows.recording` keeps with a version
+    is_added: bool = False  # by another package: earlier tables do not have it
 
 
 class SchemaError(UserError):
@@ -143,7 +143,12 @@ def runs_columns() -> dict[str, Column]:
         "outcome": Column(str, f"one of {', '.join(OUTCOMES)}"),
     }
     metrics = {
-        name: Column(bool if metric.unit == "yes/no" else float, metric.meaning, metric.recorded)
+        name: Column(
+            bool if metric.unit == "yes/no" and not metric.is_added else float,
+            metric.meaning,
+            metric.recorded and not metric.is_added,
+            metric.is_added,
+        )
         for name, metric in METRICS.items()
     }
     attribution = {name: Column(*column) for name, column in COLUMNS.items()}
@@ -184,6 +189,8 @@ def conform(table: pd.DataFrame, columns: Mapping[str, Column], where: str) -> p
     if "schema_version" in columns:
         for version in table.get("schema_version", pd.Series([None])).unique():
             check_version(version, where, RUN_AGAIN)
+    added = [name for name in columns if columns[name].is_added and name not in table]
+    table = table.assign(**dict.fromkeys(added, math.nan)) if added else table
     missing = [name for name in columns if name not in table]
     if missing:
         raise SchemaError(

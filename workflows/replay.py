@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from pydantic import ValidationError
 
 from baselines import registry
-from workflows import UserError, archives, records
-from workflows.config import load, origin
+from baselines.contract import Baseline, Instance, Solution
+from workflows import CHECKOUT, UserError, archives, records
+from workflows.config import Experiment, load, origin, search_next_to
 from workflows.instances import content_digest
 from workflows.stages.generate import instance_of
 from workflows.stages.plan import Plan, PlannedRun, expand
@@ -21,6 +24,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SAME, DIFFERENT = "same", "different"
+
+
+class Stored(NamedTuple):
+    """A stored run, and the provenance of its table."""
+
+    row: dict[str, Any]
+    provenance: dict[str, Any]
 
 
 def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -> dict[str, Any]:
@@ -45,37 +55,71 @@ def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -
     UserError
         There is no such run, or the method is not available.
     """
-    stored = _stored(run_id, results)
-    if stored is not None:
-        experiment = experiment or stored["experiment"]
-    if not experiment:
-        raise UserError(
-            f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
-            "tables/runs.csv, or name its experiment with --experiment"
-        )
-    plan = expand(load(experiment), None, origin(experiment), None)
-    run = next((run for run in plan.runs() if run.run_id == run_id), None)
-    if run is None:
-        raise UserError(
-            f"experiment {plan.experiment.name}: no run {run_id!r}; take one from column run_id of its "
-            "tables/runs.csv"
-        )
-    return _repeated(plan, run, stored)
+    repetition = Repetition.of(run_id, experiment, results)
+    repetition.method.warm_up(repetition.instance)
+    return repetition.result()
 
 
-def _repeated(plan: Plan, run: PlannedRun, stored: dict[str, Any] | None) -> dict[str, Any]:
-    instance = instance_of(
-        run.instance,
-        run.method.n_inliers_ratio,
-        plan.experiment.seed,
-        registry.oracle_outliers(run.method.baseline, run.method.options),
-        run.method.n_points,
-    )
-    method = registry.load(run.method.baseline, **run.method.options)
-    if reason := method.available() or method.supports(instance):
-        raise UserError(f"{run.method.name}: {reason}")
-    method.warm_up(instance)
-    solution = method.solve(instance, plan.experiment.limits_of(run.method).of_run())
+@dataclass(frozen=True)
+class Repetition:
+    """A run to repeat: its plan, its instance, its method, and the stored run if there is one."""
+
+    plan: Plan
+    run: PlannedRun
+    instance: Instance
+    method: Baseline
+    stored: Stored | None
+
+    @classmethod
+    def of(cls, run_id: str, experiment: str = "", results: Path = Path("results")) -> Repetition:
+        """Find a run and make its instance again; see `replay`."""
+        stored = _stored(run_id, results)
+        if stored is None and not experiment:
+            raise UserError(
+                f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
+                "tables/runs.csv, name the folder of its results (RESULTS=…), or its experiment with "
+                "--experiment"
+            )
+        plan = _plan(experiment, stored)
+        run = next((run for run in plan.runs() if run.run_id == run_id), None)
+        if run is None:
+            raise UserError(
+                f"experiment {plan.experiment.name}: no run {run_id!r}; take one from column run_id of "
+                "its tables/runs.csv"
+            )
+        instance = instance_of(
+            run.instance,
+            run.method.n_inliers_ratio,
+            plan.experiment.seed,
+            registry.oracle_outliers(run.method.baseline, run.method.options),
+            run.method.n_points,
+        )
+        method = registry.load(run.method.baseline, **run.method.options)
+        if reason := method.available() or method.supports(instance):
+            raise UserError(f"{run.method.name}: {reason}")
+        return cls(plan, run, instance, method, stored)
+
+    def result(self) -> dict[str, Any]:
+        """Solve the instance again by the warm method and compare; see `replay`."""
+        limits = self.plan.experiment.limits_of(self.run.method).of_run()
+        return _compared(self, self.method.solve(self.instance, limits))
+
+
+def _plan(experiment: str, stored: Stored | None) -> Plan:
+    """Return the plan that contains a run: of the given config, or of the one stored with the run."""
+    if experiment or stored is None:
+        return expand(load(experiment), None, origin(experiment), None)
+    try:
+        settings = Experiment.model_validate(stored.provenance["config"])
+    except (KeyError, ValidationError):  # stored by another version
+        return _plan(stored.row["experiment"], None)
+    if config := stored.provenance.get("config_file"):
+        search_next_to(CHECKOUT / config)
+    return expand(settings, None, settings.name, None)
+
+
+def _compared(repetition: Repetition, solution: Solution) -> dict[str, Any]:
+    run, instance, stored = repetition.run, repetition.instance, repetition.stored
     pose = solution.T_target_source
     answer = {
         "status": solution.status,
@@ -95,7 +139,7 @@ def _repeated(plan: Plan, run: PlannedRun, stored: dict[str, Any] | None) -> dic
         "message": solution.message,
         "certificate_scope": solution.certificate_scope,
         **answer,
-        "stored": _comparison({**answer, **identity}, stored, run),
+        "stored": _comparison({**answer, **identity}, stored.row if stored else None, run),
     }
 
 
@@ -119,16 +163,21 @@ def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: Plann
     return f"{DIFFERENT}: {', '.join(names)}"
 
 
-def _stored(run_id: str, results: Path) -> dict[str, Any] | None:
+def _stored(run_id: str, results: Path) -> Stored | None:
     """Return the latest archived run, else one of the results; missing numbers are left out."""
     for folder in reversed(archives.folders()):
         archives.check(folder)
         if row := _row(folder / archives.RUNS, run_id):
-            return row
+            return Stored(row, _json(folder / "experiments" / row["experiment"]))
     for path in sorted(results.glob("**/tables/runs.parquet")):
         if row := _row(path, run_id):
-            return row
+            return Stored(row, _json(path.parent))
     return None
+
+
+def _json(folder: Path) -> dict[str, Any]:
+    path = folder / "provenance.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
 def _row(path: Path, run_id: str) -> dict[str, Any] | None:

@@ -10,12 +10,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from types import FrameType
-from typing import IO, NamedTuple
+from typing import IO, TYPE_CHECKING, NamedTuple
 
 import yaml
 
@@ -25,7 +25,11 @@ from workflows.blocks import EVIDENCE
 from workflows.config import Experiment
 from workflows.integrity import set_aside_damaged
 
+if TYPE_CHECKING:
+    from workflows.live import View
+
 INTERRUPTED = 130  # exit code, as in shells
+USER_ERROR = 2  # exit code of `workflows.cli.user_errors`, which prints the reason
 PATIENCE_S = 20.0  # for Snakemake to end after SIGTERM
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PROFILES = CHECKOUT / "workflows" / "profiles"
@@ -84,11 +88,16 @@ def cores_of_job(experiment: Experiment) -> str:
 
 
 def run_snakemake(
-    directory: Path, name: str, arguments: Sequence[str], profiles: Sequence[Profile] = ()
+    directory: Path,
+    name: str,
+    arguments: Sequence[str],
+    profiles: Sequence[Profile] = (),
+    view_of: Callable[[], View] | None = None,
 ) -> int:
     """Run Snakemake on experiment `name` below `directory`; return its exit code, or `INTERRUPTED`.
 
-    The arguments must end with those of ``--config``. Later profiles override earlier ones.
+    The arguments must end with those of ``--config``. Later profiles override earlier ones. `view_of`
+    makes what shows the state of the runs; it is called once damaged results are set aside.
 
     Snakemake and its jobs form a separate process group. At Ctrl-C, SIGTERM or SIGHUP they receive
     SIGTERM, at which Snakemake starts no new job. At a second signal, or after `PATIENCE_S`, they are
@@ -123,26 +132,69 @@ def run_snakemake(
     with the_only_run(directory, name) as lock, NamedTemporaryFile("r", encoding="utf-8") as errors:
         _set_aside_damaged(directory / "results" / name)
         _correct_times(directory / "results" / name)
+        view = view_of() if view_of else None
         process = subprocess.Popen(
             [*command, f"errors={errors.name}"],
             stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE if view and view.is_live else None,
+            stderr=subprocess.STDOUT if view and view.is_live else None,
+            text=True,
             process_group=0,
             pass_fds=[lock.fileno()],
         )
         _write(lock, f"process {os.getpid()} (its Snakemake is process {process.pid})")
         before = {number: signal.signal(number, interrupt) for number in ENDING}
         try:
-            while process.poll() is None:
-                if time.monotonic() > deadline:
-                    os.killpg(process.pid, signal.SIGKILL)
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(timeout=0.5)
+            with view or nullcontext():
+                output = view.follow(process.stdout) if view and process.stdout else None
+                while process.poll() is None:
+                    if time.monotonic() > deadline:
+                        os.killpg(process.pid, signal.SIGKILL)
+                    with suppress(subprocess.TimeoutExpired):
+                        process.wait(timeout=0.5)
+                    if view:
+                        view.update()
+                if output:
+                    output.join(timeout=PATIENCE_S)
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
-        if process.returncode and deadline == float("inf"):
-            print(errors.read().rstrip(), file=sys.stderr)
+        has_failed = process.returncode and deadline == float("inf")
+        if has_failed and (text := _unexplained(errors.read())):
+            print(text, file=sys.stderr)
     return process.returncode if deadline == float("inf") else INTERRUPTED
+
+
+def snakemake_report(directory: Path, name: str, config: Sequence[str], out: Path) -> None:
+    """Write Snakemake's own report on the finished experiment `name` below `directory`.
+
+    `config` are the arguments of ``--config``. The report is one HTML file; Snakemake has all it needs
+    installed and downloads nothing.
+
+    Raises
+    ------
+    UserError
+        An output is missing.
+    """
+    command = [
+        *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
+        *("--cores", "1", "--quiet", "all", "--nolock", "--directory", str(directory)),
+        *("--report", str(out.resolve())),
+        "--config",
+    ]
+    with (
+        the_only_run(directory, name),
+        NamedTemporaryFile("r", encoding="utf-8") as errors,
+    ):
+        done = subprocess.run([*command, *config, f"errors={errors.name}"], check=False)
+        if done.returncode:
+            raise UserError(f"{errors.read().strip()}\nRun the whole experiment first")
+
+
+def _unexplained(errors: str) -> str:
+    """Return Snakemake's messages, unless a stage has already said what the user can correct."""
+    has_said_why = "StageError" in errors and f"ended with exit code {USER_ERROR}" in errors
+    return "" if has_said_why else errors.rstrip()
 
 
 def _set_aside_damaged(folder: Path) -> None:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,16 +13,16 @@ from rich.markup import escape
 from rich.table import Table
 
 from baselines import registry
-from dcreg.status import Status
+from data.registry import GROUP as DATASETS
+from dcreg.plugins import plugins
 from dcreg.text import percent
 from workflows import records
-from workflows.archives import archived
-from workflows.compose import QUICK, ConfigError
-from workflows.config import Experiment, MethodSettings, load
-from workflows.metrics import METRICS
+from workflows.labels import distinct
+from workflows.metrics import BROKEN, METRICS
+from workflows.metrics import GROUP as ADDED_METRICS
 from workflows.outcomes import attempted, comparable_times
-from workflows.stages.plan import Plan, PlannedRun, expand
-from workflows.stages.solve import journalled
+from workflows.outlook import duration, outlook_of
+from workflows.stages.plan import Plan, size_notes
 
 SUMMARISED = [
     "run_id", "model", "test", "method", "display_name", "status", "outcome", "rmse", "success", "gap",
@@ -37,9 +34,10 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     """Summarise the attempted runs per method and test.
 
     A run without a pose counts with the worst RMSE and as no success; otherwise a method would look
-    better the more often it fails. Times are those of one machine.
+    better the more often it fails. Times are those of one machine; a run that failed has none.
     """
-    tried = attempted(runs[SUMMARISED].assign(time_solve_s=comparable_times(runs)))
+    times = comparable_times(runs).where(runs["outcome"] != "failed")
+    tried = attempted(runs[SUMMARISED].assign(time_solve_s=times))
     tried = tried.assign(
         rmse=tried["rmse"].fillna(METRICS["rmse"].worst),
         bounding=tried["gap"].notna(),
@@ -61,17 +59,12 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     return table.reset_index()
 
 
-def _distinct_names(runs: pd.DataFrame) -> pd.DataFrame:
-    """Add the names of methods that share a displayed name."""
-    shared = runs.groupby("display_name")["method"].transform("nunique") > 1
-    both = runs["display_name"] + " [" + runs["method"] + "]"
-    return runs.assign(display_name=runs["display_name"].mask(shared, both))
-
-
 def print_summary(folder: Path, console: Console | None = None) -> None:
     """Print results per method and test, runs without a result and why, and the path of the report."""
     console = console or Console(width=None if os.isatty(1) else 120)
-    runs = _distinct_names(records.read(folder / "tables" / "runs.parquet", records.runs_columns()))
+    runs = records.read(folder / "tables" / "runs.parquet", records.runs_columns())
+    names = distinct(dict(zip(runs["method"], runs["display_name"], strict=True)))
+    runs = runs.assign(display_name=runs["method"].map(names))
     for model, part in summarise(runs).groupby("model", sort=False):
         console.print(_table(str(model), part))
     console.print(
@@ -98,17 +91,19 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
         table.add_column(name, justify="right")
     outlook = outlook_of(plan, folder)
     for row in outlook:
-        time = _duration(row.seconds)
+        time = duration(row.seconds)
         table.add_row(
             *(row.method, row.model, ", ".join(row.tests)),
             *(str(row.runs), str(row.finished), time if row.known else f"at most {time}"),
         )
     console.print(table)
+    for note in size_notes(plan):
+        console.print(note, markup=False, highlight=False)
     seconds = sum(row.seconds for row in outlook)
     at_most = "" if all(row.known for row in outlook) else "at most "
     console.print(
         f"{sum(row.runs for row in outlook)} runs, {sum(row.finished for row in outlook)} of them "
-        f"finished; the rest takes {at_most}about {_duration(seconds / cores)} on {cores} cores, "
+        f"finished; the rest takes {at_most}about {duration(seconds / cores)} on {cores} cores, "
         "without the start and the compilation of methods"
     )
     _print_path("report:", folder / plan.view / "report" / "index.html", console)
@@ -117,105 +112,6 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
 def _print_path(words: str, path: Path, console: Console) -> None:
     """Print on a single line, so that the path can be copied."""
     console.print(f"{words} {os.path.relpath(path)}", soft_wrap=True, markup=False)
-
-
-@dataclass(frozen=True)
-class Outlook:
-    """The planned runs of a method on one model, and the estimated seconds of the unfinished ones.
-
-    ``known``: every unfinished run is estimated by the median time of the method's finished runs on its
-    test, including those of the quick part; a run that hit its time limit counts as the current limit.
-    Runs without an estimate count as the time limit.
-    """
-
-    method: str
-    model: str
-    tests: list[str]
-    runs: int
-    finished: int
-    seconds: float
-    known: bool
-
-
-def outlook_of(plan: Plan, folder: Path) -> list[Outlook]:
-    """Estimate the time of each method and model of a plan, given the finished runs in `folder`."""
-    planned = list(plan.runs())
-    rows: dict[tuple[str, str], list[PlannedRun]] = {}
-    for run in planned:
-        rows.setdefault((run.method.name, run.chunk.model), []).append(run)
-    kept = _kept(plan, folder)
-    measured = _times(planned, kept, plan.experiment)
-    for quick in _quick_part(plan):
-        rows_of_quick = _kept(quick, folder.with_name(quick.experiment.name))
-        of_quick = _times(quick.runs(), rows_of_quick, plan.experiment)
-        measured = {**of_quick, **measured}
-    outlook = []
-    for (name, model), runs in rows.items():
-        method = runs[0].method
-        fingerprint = registry.fingerprint(method.baseline)
-        runs_here = _runs_here(method)
-        finished, seconds, known = 0, 0.0, True
-        for run in runs:
-            if kept.get(run.run_id, {}).get("fingerprint") == fingerprint:
-                finished += 1
-                continue
-            if not runs_here:  # ends at once as unavailable
-                continue
-            taken = measured.get((name, model, run.instance.test))
-            known = known and taken is not None
-            seconds += np.median(taken) if taken else plan.experiment.limits_of(method).time_s
-        tests = list(dict.fromkeys(run.instance.test for run in runs))
-        outlook.append(Outlook(name, model, tests, len(runs), finished, float(seconds), known))
-    return outlook
-
-
-def _runs_here(method: MethodSettings) -> bool:
-    try:
-        return registry.load(method.baseline, **method.options).available() is None
-    except ImportError:
-        return False
-
-
-def _kept(plan: Plan, folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the finished runs of the plan's methods by run_id, if possible those of the present code."""
-    kept: dict[str, dict[str, Any]] = {}
-    for method in plan.methods:
-        fingerprint = registry.fingerprint(method.baseline)
-        finished = {**archived(method.name), **journalled(folder / "runs" / method.name)}
-        for row in finished.values():
-            if kept.get(row["run_id"], {}).get("fingerprint") != fingerprint:
-                kept[row["run_id"]] = row
-    return kept
-
-
-def _times(
-    runs: Iterable[PlannedRun], kept: dict[str, dict[str, Any]], experiment: Experiment
-) -> dict[tuple[str, str, str], list[float]]:
-    """Return the seconds of finished runs per method, model and test under the limits of an experiment.
-
-    A run that hit a limit of work counts as the time limit if the experiment has no such limit.
-    """
-    limits_of = {method.name: experiment.limits_of(method) for method in experiment.methods}
-    times: dict[tuple[str, str, str], list[float]] = {}
-    for run in runs:
-        row, limits = kept.get(run.run_id, {}), limits_of.get(run.method.name)
-        if limits is None or (time := row.get("time_solve_s")) is None:
-            continue
-        limited = {
-            Status.NODE_LIMIT: limits.nodes is None,
-            Status.ASSIGNMENT_LIMIT: limits.assignments is None,
-        }
-        if limited.get(row["status"], row["status"] == Status.TIME_LIMIT):
-            time = limits.time_s
-        key = run.method.name, run.chunk.model, run.instance.test
-        times.setdefault(key, []).append(time)
-    return times
-
-
-def _quick_part(plan: Plan) -> Iterator[Plan]:
-    """Yield the plan of the experiment's quick part, if it has one."""
-    with suppress(ConfigError):
-        yield expand(load(f"{plan.config}{QUICK}"))
 
 
 def print_baselines(console: Console | None = None) -> None:
@@ -230,8 +126,25 @@ def print_baselines(console: Console | None = None) -> None:
         citations.append(f"{row['method']}: {row['citation']}")
     console = console or Console(width=None if os.isatty(1) else 180)
     console.print(table)
-    console.print("In a config: methods: [{name: any, baseline: BASELINE}]\n", highlight=False)
+    console.print(
+        "In a config: methods: [{name: any, baseline: BASELINE}]; in any experiment: make run METHODS="
+        "BASELINE,dcreg\n",
+        highlight=False,
+    )
+    for kind, origin in added_by_packages():
+        console.print(f"{kind}: {origin}", highlight=False, markup=False, soft_wrap=True)
     console.print("\n".join(citations), highlight=False, markup=False)
+
+
+def added_by_packages() -> Iterator[tuple[str, str]]:
+    """Yield what installed packages add, with its origin, and for metrics whether they are left out."""
+    for plugin in plugins(registry.GROUP):
+        yield "added method", plugin.origin
+    for plugin in plugins(DATASETS):
+        yield "added dataset", plugin.origin
+    for plugin in plugins(ADDED_METRICS):
+        reason = BROKEN.get(plugin.origin)
+        yield "added metrics", f"{plugin.origin}" + (f", left out: {reason}" if reason else "")
 
 
 def _table(model: str, part: pd.DataFrame) -> Table:
@@ -264,12 +177,6 @@ def _number(value: float) -> str:
     if np.isnan(value):
         return "–"
     return "∞" if np.isinf(value) else f"{value:.4f}"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def _seconds(value: float) -> str:

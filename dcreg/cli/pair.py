@@ -51,6 +51,7 @@ def columns(model: str) -> list[str]:
     return [
         *("source", "target", "source_id", "target_id", "status"),
         *_NUMBERS,
+        "certificate_scope",
         *(f"T{i}{j}" for i in size for j in size),
         *("dropped_source", "dropped_target", "time_s", "warning", "error", "covariance", "inputs"),
     ]
@@ -84,6 +85,7 @@ def _solved(task: Task) -> Row:
     return {
         "status": result.status.value,
         **{name: _text(getattr(result, name)) for name in _NUMBERS},
+        "certificate_scope": result.certificate_scope,
         **{f"T{i}{j}": _text(x) for (i, j), x in np.ndenumerate(result.T_target_source)},
         **{name: str(n) for name, n in clouds.n_dropped.items()},
         "warning": result.warnings[0] if result.warnings else "",

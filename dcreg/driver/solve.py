@@ -14,6 +14,7 @@ from dcreg.assignment.objective import Matched, is_large, objective, quick_objec
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, warnings_for
+from dcreg.driver.checks import check_mode
 from dcreg.driver.downsample import (
     ALL_POINTS,
     Pose,
@@ -23,14 +24,14 @@ from dcreg.driver.downsample import (
     to_search,
 )
 from dcreg.driver.memory import advance_notice, check_memory, estimated_memory
-from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
+from dcreg.driver.modes import choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution, in_input_units
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.uncertainty import with_uncertainty
 from dcreg.driver.warm_up import warm_up_mode, warm_up_region
 from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
-from dcreg.names import AUTO, START_BOXES
+from dcreg.names import AUTO, OF_SAMPLE, START_BOXES
 from dcreg.problem import (
     Frame,
     InputError,
@@ -73,7 +74,7 @@ def solve(setup: Setup, at: int, budget: Budget, init: np.ndarray | None = None)
     solution = run_mode(setup.mode, normalised)
     solution.events = budget.history
     result = Finish(setup, at, normalised, budget, searching).result(solution)
-    return replace(result, time_solve_s=budget.elapsed())
+    return replace(result, time_solve_s=budget.elapsed(), time_earlier_s=budget.earlier_s)
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,7 @@ class Setup:
         chosen = mode or find_mode(largest.model, name)
         check_mode(chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms)
         limits.check(largest.n_inliers)
-        memory = estimated_memory(problems[-1], largest, chosen, bound)
+        memory = estimated_memory(problems[-1], largest, chosen, bound, len(problems))
         check_memory(memory, problems[-1])
         if notice := advance_notice(memory, problems[-1], limits.time_s):
             _LOGGER.info(notice)
@@ -245,6 +246,9 @@ class Finish:
             result = refined(result, problem, searched, self.budget, self.known)
             self._report_refinement(result.objective)
         result = self._exact(result)
+        is_sample = result.downsampled is not None
+        scope = _scope(problem, solution.scope, is_sample=is_sample)
+        result = replace(result, certificate_scope=scope)
         if problem.pose_range is None:  # the covariance is that of free poses
             low, high = problem.scale_range
             has_scale = problem.has_scale and low < high
@@ -301,7 +305,7 @@ class Finish:
             n_inliers=problem.n_inliers, lower_bound=solution.lower_bound, upper_bound=upper_bound,
             max_rms=self.setup.limits.max_rms, memory_estimate=self.setup.memory,
             gap_tol=tolerance.allowed(upper_bound), is_exact=tolerance.is_exact(upper_bound),
-            certificate_scope=_scope(problem, solution),
+            certificate_scope=solution.scope,
             objective=final, objective_certified=before[0],
             n_nodes=sum(stage.n_nodes for stage in solution.stages),
             n_assignments=sum(stage.n_assignments for stage in solution.stages),
@@ -350,10 +354,10 @@ class Finish:
         )  # fmt: skip
 
 
-def _scope(problem: Problem, solution: Solution) -> str:
+def _scope(problem: Problem, what: str, *, is_sample: bool) -> str:
     """Return what the bounds refer to."""
-    where = ", within the range of poses" * (problem.pose_range is not None)
-    return solution.scope + where + ", weighted points" * (problem.weights is not None)
+    where = OF_SAMPLE * is_sample + ", within the range of poses" * (problem.pose_range is not None)
+    return what + where + ", weighted points" * (problem.weights is not None)
 
 
 def _exact_value(problem: Problem) -> float:

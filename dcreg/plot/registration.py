@@ -27,8 +27,9 @@ from dcreg.problem import apply_pose
 from dcreg.result import Result
 from dcreg.search import Event
 
-# Browsers become slow beyond this number; larger clouds are thinned, for display only.
-_MAX_POINTS = 20_000
+# Larger clouds and longer histories are thinned, for display only: the page stays below 2 MB.
+_MAX_POINTS, _MAX_EVENTS = 1500, 500
+_DIGITS = 4  # of coordinates, relative to the size of the cloud
 _LABELLED = 0.1  # a stage shows its name if it takes this fraction of the width
 
 
@@ -42,7 +43,8 @@ def plot_registration(
 ) -> None:
     """Write a page with the clouds before and after, matched pairs, and bounds against time and work.
 
-    The page contains plotly.js and needs no network.
+    The page contains plotly.js and needs no network. It has at most 2 MB: coordinates are rounded, and
+    large clouds and long histories thinned, for display only.
 
     Parameters
     ----------
@@ -76,9 +78,11 @@ def figures(source: np.ndarray, target: np.ndarray, result: Result) -> dict[str,
     moved = apply_pose(result.T_target_source, source)
     stages = _stages(result.trace)
     pairs = _pair_lines(moved, target, result.assignment)
+    most = max(len(source), len(target), len(result.assignment))
+    thinned = f", at most {_MAX_POINTS:,} points and pairs shown" if most > _MAX_POINTS else ""
     return {
-        "before": clouds_figure(source, target),
-        "after": clouds_figure(moved, target, pairs),
+        f"before{thinned}": clouds_figure(source, target),
+        f"after{thinned}": clouds_figure(moved, target, pairs),
         "bounds against time": _history(result, stages, "time_s", "time in s"),
         "bounds against nodes": _history(result, stages, "n_nodes", "nodes, all stages together"),
     }
@@ -86,7 +90,7 @@ def figures(source: np.ndarray, target: np.ndarray, result: Result) -> dict[str,
 
 def clouds_figure(source: np.ndarray, target: np.ndarray, *more: go.BaseTraceType) -> go.Figure:
     """Return both clouds in one figure, with more traces."""
-    drawn = [_points(target, "target", TARGET), _points(source, "source", SOURCE), *more]
+    drawn = [*more, _points(target, "target", TARGET), _points(source, "source", SOURCE, ring=True)]
     fig = figure(drawn)
     if source.shape[1] == 3:
         fig.update_scenes(aspectmode="data")
@@ -95,14 +99,20 @@ def clouds_figure(source: np.ndarray, target: np.ndarray, *more: go.BaseTraceTyp
     return fig
 
 
-def _points(points: np.ndarray, name: str, color: str) -> go.BaseTraceType:
+def _points(points: np.ndarray, name: str, color: str, *, ring: bool = False) -> go.BaseTraceType:
+    """Return a cloud as dots or, larger, as rings: a ring leaves the dot of its partner visible."""
     step = -(-len(points) // _MAX_POINTS)
     size = 6 if points.shape[1] == 2 else 4 if len(points) < 1000 else 2
     return _scatter(
         points[::step],
         name=name if step == 1 else f"{name} (every {step}th point)",
         mode="markers",
-        marker={"color": color, "size": size, "opacity": 0.8},
+        marker={
+            "color": color,
+            "size": 1.5 * size if ring else size,
+            "symbol": "circle-open" if ring else "circle",
+            "opacity": 0.8,
+        },
         customdata=np.arange(len(points))[::step],
         hovertemplate=f"{name} %{{customdata}}<extra></extra>",
     )
@@ -119,13 +129,22 @@ def _pair_lines(moved: np.ndarray, target: np.ndarray, pairs: np.ndarray) -> go.
         name="matched pairs",
         mode="lines",
         line={"color": GREY, "width": 1.5},
+        legendrank=1001,  # last, although it is below the points
         hoverinfo="skip",
     )
 
 
 def _scatter(points: np.ndarray, **options: object) -> go.BaseTraceType:
-    axes = dict(zip("xyz", points.T, strict=False))
+    axes = dict(zip("xyz", _rounded(points).T.tolist(), strict=False))
     return (go.Scatter3d if points.shape[1] == 3 else go.Scatter)(**axes, **options)
+
+
+def _rounded(points: np.ndarray) -> np.ndarray:
+    """Round coordinates to `_DIGITS` digits of the extent of the points."""
+    if not len(points):
+        return points
+    extent = float(np.max(np.nanmax(points, axis=0) - np.nanmin(points, axis=0)))
+    return points.round(_DIGITS - math.floor(math.log10(extent))) if extent > 0.0 else points
 
 
 @dataclass(frozen=True)
@@ -147,9 +166,18 @@ def _stages(events: Iterable[Event]) -> list[_Stage]:
     stages: list[_Stage] = []
     nodes = 0
     for name, group in itertools.groupby(events, key=lambda event: event.stage):
-        stages.append(_Stage(name, list(group), nodes))
-        nodes += max(event.n_nodes for event in stages[-1].events)
+        whole = list(group)
+        stages.append(_Stage(name, _thinned(whole), nodes))
+        nodes += max(event.n_nodes for event in whole)
     return stages
+
+
+def _thinned(events: list[Event]) -> list[Event]:
+    """Return at most `_MAX_EVENTS` events, the early ones more densely, since bounds change early."""
+    if len(events) <= _MAX_EVENTS:
+        return events
+    kept = np.unique(np.geomspace(1, len(events), _MAX_EVENTS).round().astype(int)) - 1
+    return [events[at] for at in kept]
 
 
 def _history(result: Result, stages: list[_Stage], axis: str, label: str) -> go.Figure:
@@ -210,7 +238,7 @@ def _curve(stages: list[_Stage], axis: str, bound: str) -> list[tuple[Any, Any, 
     for stage in stages:
         values = [getattr(event, bound) for event in stage.events]
         finite = [
-            (at, value, stage.name)
+            (float(f"{at:.7g}"), float(f"{value:.7g}"), stage.name)
             for at, value in zip(stage.at(axis), values, strict=True)
             if math.isfinite(value)
         ]

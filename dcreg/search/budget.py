@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -169,10 +169,16 @@ class Budget:
         Of this budget and all its parts.
     checkpoint : Checkpoint, optional
         Set before the search; all parts share it.
+    earlier_s : float
+        Seconds of earlier parts of the solve, which `elapsed` includes.
     patience_s : float or None
         Seconds that a search may take for a proof; inf: only the time of the budget limits it; None: the
         search continues even if no proof is expected.
+    observer : callable or None
+        Of all budgets of the process; receives every event, in normalised units, and changes no search.
     """
+
+    observer: ClassVar[Callable[[Event], None] | None] = None
 
     def __init__(
         self,
@@ -196,6 +202,7 @@ class Budget:
         self._root = self
         self.patience_s: float | None = None
         self.checkpoint: Checkpoint | None = None
+        self.earlier_s = 0.0
         self._stopped = False
         self._reports = True
         self._incumbent = -np.inf
@@ -257,6 +264,7 @@ class Budget:
     def add_earlier(self, elapsed_s: float, history: list[Event]) -> None:
         """Count the time and the events of an earlier part of the solve; the time left stays."""
         self._began -= elapsed_s
+        self.earlier_s += elapsed_s
         self.history[:0] = history
 
     def left(self) -> float | None:
@@ -359,6 +367,8 @@ class Budget:
             root._reported_at, root._event = time.perf_counter(), event
             if event.kind != "heartbeat":
                 root.history.append(event)
+            if Budget.observer is not None:
+                Budget.observer(event)
             if self._listener is not None and self._listener(event):
                 root._stopped = True
                 for part in (root, *root._stages) if root._watch is not None else ():

@@ -129,6 +129,7 @@ def _run(run: pd.Series, stages: dict[str, pd.DataFrame], style: Style) -> dict[
         "gap_tol": run["gap_tol"],
         "truth": run["objective_true"] if comparable else None,
         "symbol": style.symbol,
+        "dash": style.dash,
         "stages": {
             str(stage): {
                 "time": list(part["time_s"]) if run["is_timed"] else [None] * len(part),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 _ROW_PX, _GAP_PX, _TOP_PX, _BOTTOM_PX = 190, 34, 50, 52
-_NARROW_ROW_PX, _NARROW_GAP_PX = 170, 58
+_NARROW_ROW_PX, _NARROW_GAP_PX = 170, 68
 
 
 @dataclass
@@ -33,6 +33,7 @@ class Grid:
 
     column_titles: list[str]
     panels: list[Panel] = field(default_factory=list)
+    row_px: int = _ROW_PX  # height of a panel
 
     def add(self, panel: Panel) -> tuple[str, str]:
         """Append a panel; return the names of its axes for traces, such as ``("x2", "y2")``."""
@@ -51,7 +52,7 @@ class Grid:
     def _wide(self) -> dict[str, Any]:
         rows = max(panel.row for panel in self.panels) + 1
         columns = len(self.column_titles)
-        height = _TOP_PX + rows * _ROW_PX + (rows - 1) * _GAP_PX + _BOTTOM_PX
+        height = _TOP_PX + rows * self.row_px + (rows - 1) * _GAP_PX + _BOTTOM_PX
         inner = height - _TOP_PX - _BOTTOM_PX
         gap = 0.035 if columns > 2 else 0.09
         width = (1 - gap * (columns - 1)) / columns
@@ -59,10 +60,10 @@ class Grid:
         lowest = {c: max(p.row for p in self.panels if p.column == c) for c in range(columns)}
         for index, panel in enumerate(self.panels, 1):
             left = panel.column * (width + gap)
-            top = 1 - panel.row * (_ROW_PX + _GAP_PX) / inner
+            top = 1 - panel.row * (self.row_px + _GAP_PX) / inner
             last = panel.row == lowest[panel.column] or not panel.share_x
             self._place(
-                layout, index, (left, left + width), (max(0, top - _ROW_PX / inner), top),
+                layout, index, (left, left + width), (max(0, top - self.row_px / inner), top),
                 x_title=panel.x_title if last else "",
                 y_title=panel.y_title if panel.column == 0 or not panel.share_y else "",
                 show_x=last,
@@ -80,15 +81,16 @@ class Grid:
             range(len(self.panels)), key=lambda i: (self.panels[i].column, self.panels[i].row)
         )
         count = len(order)
-        height = _TOP_PX + count * _NARROW_ROW_PX + (count - 1) * _NARROW_GAP_PX + _BOTTOM_PX
+        row_px = _NARROW_ROW_PX * self.row_px // _ROW_PX
+        height = _TOP_PX + count * row_px + (count - 1) * _NARROW_GAP_PX + _BOTTOM_PX
         inner = height - _TOP_PX - _BOTTOM_PX
-        layout: dict[str, Any] = {"height": height, "margin": _margin(56), "annotations": []}
+        layout: dict[str, Any] = {"height": height, "margin": _margin(44), "annotations": []}
         seen: set[int] = set()
         for position, which in enumerate(order):
             panel = self.panels[which]
-            top = 1 - position * (_NARROW_ROW_PX + _NARROW_GAP_PX) / inner
+            top = 1 - position * (row_px + _NARROW_GAP_PX) / inner
             self._place(
-                layout, which + 1, (0, 1), (max(0, top - _NARROW_ROW_PX / inner), top),
+                layout, which + 1, (0, 1), (max(0, top - row_px / inner), top),
                 x_title=panel.x_title, y_title=panel.y_title, show_x=True, show_y=True,
             )  # fmt: skip
             title = self.column_titles[panel.column]
@@ -123,6 +125,7 @@ class Grid:
             "type": panel.y_type,
             "title": {"text": y_title, "standoff": 6},
             "showticklabels": show_y,
+            "automargin": "left",
         }
         if panel.y_from_zero:
             y_axis["rangemode"] = "tozero"

@@ -20,7 +20,8 @@ ROLES = {
 }
 
 
-def context(page: Page) -> dict[str, Any]:
+def context(page: Page) -> dict[str, Any] | None:
+    """Return the figures; None if the experiment has no runs for any."""
     figures = []
     for module in sorted(modules(standalone), key=lambda module: module.POSITION):
         if hasattr(module, "PAPER") and not module.PAPER.experiment:
@@ -42,4 +43,4 @@ def context(page: Page) -> dict[str, Any]:
                 "prints": page.add_print(figure, view, module.DRAWN, figure.id, figure.title),
             }
         )
-    return {"figures": figures}
+    return {"figures": figures} if figures else None

@@ -6,6 +6,7 @@ from typing import Any
 
 from reports.figures import levels
 from reports.page import Page
+from reports.pairs import is_own_data
 
 ID = "levels"
 TITLE = "Error and time against level"
@@ -14,7 +15,10 @@ POSITION = 40
 SUFFIX = {"median": "", "mean": "-mean"}
 
 
-def context(page: Page) -> dict[str, Any]:
+def context(page: Page) -> dict[str, Any] | None:
+    """Return a figure per model; None for own pairs, which have a single level."""
+    if is_own_data(page.tables):
+        return None
     figures = []
     for model in dict.fromkeys(page.tables.runs["model"]):
         runs = levels.prepare(page.tables, model)

@@ -10,17 +10,24 @@ import pandas as pd
 from reports.ledger.evidence import QUICK, STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
+from reports.pairs import pair_rows
 from reports.standing import BEST, TIED, WORSE, Matrix, matrices
 from reports.tables import PENALTY, Tables, counted_time, is_right, share_interval
 from reports.theme import Style, listed, share
 from workflows.metrics.errors import SUCCESS_SHARE
 from workflows.outcomes import attempted, comparable_times, main_machine
-from workflows.stages.evaluate import success_rmse
+from workflows.stages.evaluate import success_limits
 
 ID = "outcome"
 TITLE = "Outcome"
 POSITION = 10
 MAX_NAMED = 4
+LIMITS = {
+    "rmse": "RMSE < {:g}",
+    "rotation_error_deg": "rotation error < {:g}°",
+    "translation_error": "translation error < {:g}",
+}
+MOST_ROWS = 60  # of the table per pair; longer ones open with the first pair
 AMONG = "among the methods that are compared, "
 NEEDED = [
     "model", "method", "status", "outcome", "success", "gap", "bound_ratio", "certificate_scope",
@@ -34,8 +41,12 @@ def context(page: Page) -> dict[str, Any]:
     about = set(evidence.experiments) | ({STUDY} if evidence.study else set())
     judgements = judge(ledger(), evidence, about)
     rows, found = outcomes(tables), matrices(tables)
+    pairs = pair_rows(tables)
     return {
         "facts": facts(tables),
+        "pairs": pairs,
+        "pair_names": list(dict.fromkeys(row["shape"] for row in pairs)),
+        "most_rows": MOST_ROWS,
         "judgements": judgements,
         "counts": count(judgements),
         "claims": len(ledger().claims),
@@ -158,9 +169,12 @@ def _range(values: list[float], unit: str) -> str:
 def success_rule(runs: pd.DataFrame) -> str:
     """Return in words when a pose counts as right."""
     names = runs["dataset"].unique()
-    published = {name: limit for name in names if (limit := success_rmse(name)) is not None}
-    texts = [f"RMSE < {limit:g} ({name}, as published)" for name, limit in published.items()]
-    if len(published) < len(names):
+    stated = {name: limits for name in names if (limits := success_limits(name))}
+    texts = [
+        f"{' and '.join(LIMITS[key].format(limit) for key, limit in limits.items())} ({name})"
+        for name, limits in stated.items()
+    ]
+    if len(stated) < len(names):
         texts.append(f"error above the floor < {SUCCESS_SHARE:g} of the longest side")
     return "; ".join(texts)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from baselines import registry
+from baselines import registry, template
 from baselines.contract import NOISE_FACTOR, Instance, ThresholdRule
 from baselines.dependencies import files_behind
 from baselines.registry import BaselineError
@@ -21,7 +21,7 @@ from baselines.registry import BaselineError
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
     """Return a folder of methods with one from the template."""
-    registry.new_baseline("mine", root=tmp_path)
+    template.new_baseline("mine", root=tmp_path)
     return tmp_path
 
 
@@ -226,7 +226,7 @@ def test_availability_has_a_row_per_method() -> None:
 @pytest.mark.parametrize("name", ["Mine", "_mine", "my-method", "", "../mine"])
 def test_new_baseline_refuses_bad_names(tmp_path: Path, name: str) -> None:
     with pytest.raises(BaselineError, match="cannot name a method"):
-        registry.new_baseline(name, root=tmp_path)
+        template.new_baseline(name, root=tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -236,12 +236,12 @@ def test_a_new_baseline_is_the_users_own_method_and_the_next_steps_name_its_file
     assert registry.read_card("mine", root).provenance == "own"
     files = "baselines/mine/adapter.py", "baselines/mine/card.yaml"
     for step in (*files, "-k mine", "{name: mine, baseline: mine}"):
-        assert step in registry.next_steps("mine")
+        assert step in template.next_steps("mine")
 
 
 def test_new_baselines_get_colours_of_their_own(tmp_path: Path) -> None:
     for name in ("one", "two", "three"):
-        registry.new_baseline(name, root=tmp_path)
+        template.new_baseline(name, root=tmp_path)
     colors = {registry.read_card(name, tmp_path).color for name in registry.names(tmp_path)}
     assert len(colors) == 3
     assert "#000000" not in colors

@@ -85,6 +85,7 @@ def test_each_pair_has_the_result_of_register(table, tmp_path):
     first, second = rows(table)
     assert [first[name] for name in ("source", "target", "n_inliers")] == ["0.txt", "1.txt", "9"]
     assert second["n_inliers"] == "8"
+    assert first["certificate_scope"] == "rigid pose"
     clouds = [dcreg.read_points(table.parent / f"{i}.txt") for i in range(2)]
     result = dcreg.register(*clouds, n_inliers=0.9, model="rigid3d")
     np.testing.assert_array_equal(pose(first), result.T_target_source)

@@ -513,7 +513,11 @@ def test_official_pose_brings_the_scans_together(level):
 def test_what_makes_an_instance_is_in_its_digest(monkeypatch):
     """All modules that loaders import, except the fetching: fetched files have checksums."""
     counted = []
-    monkeypatch.setattr(generate, "digest_files", lambda _, entries: counted.extend(entries))
+    monkeypatch.setattr(
+        generate,
+        "digest_paths",
+        lambda paths, root: counted.extend(path.relative_to(root).as_posix() for path in paths),
+    )
     generate.sources_digest([])
     imports = grimp.build_graph("data", cache_dir=None)
     imports.remove_module("data.fetch")

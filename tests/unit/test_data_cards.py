@@ -98,7 +98,8 @@ def test_a_wrong_card_stops_only_those_who_ask_for_it(tmp_path, monkeypatch):
     monkeypatch.setattr("data.registry.datasets", lambda: found)
     asked = DatasetSettings(dataset="bad", tests={"pair": [0]})
     (problem,) = grid.check_datasets([asked])
-    assert problem.startswith("datasets[0].dataset: data/bad/card.yaml: parameters.folder: 5; ")
+    place = tmp_path / "bad" / "card.yaml"
+    assert problem.startswith(f"datasets[0].dataset: {place}: parameters.folder: 5; ")
 
 
 def test_all_cards_of_the_checkout_are_valid():

@@ -93,7 +93,7 @@ def test_success_is_relative_to_the_inliers_but_metric_for_3dmatch(rng):
     T_true = np.eye(3)
     near = similarity(0, 1, (0.15, 0))  # 0.15 of a target about 1 long
     assert not METRICS["success"].compute(case(near, T_true, rng))
-    assert METRICS["success"].compute(case(near, T_true, rng, success_rmse=0.2))
+    assert METRICS["success"].compute(case(near, T_true, rng, success_limits={"rmse": 0.2}))
 
 
 def test_objective_takes_the_best_pairs_at_the_pose(rng):
@@ -143,13 +143,13 @@ def test_the_floor_is_below_every_pose(rng):
     assert 0 < noisy.rmse_floor <= noisy.rmse
 
 
-def deformed(rng, T_found: np.ndarray, success_rmse: float | None = None) -> Case:
+def deformed(rng, T_found: np.ndarray, success_limits: dict | None = None) -> Case:
     """A pose where the true pairs are so deformed that no similarity reaches an RMSE of 0.1."""
     points, rows = rng.random((40, 2)), np.arange(40)
     bent = points + 0.2 * rng.standard_normal((40, 2))
     pairs = np.column_stack([rows, rows])
     best = reference_pose(points, bent, pairs, (0.5, 1.5))
-    return Case(T_found @ best, best, points, bent, pairs, 40, (0.5, 1.5), success_rmse)
+    return Case(T_found @ best, best, points, bent, pairs, 40, (0.5, 1.5), success_limits or {})
 
 
 def test_success_does_not_punish_the_deformation_itself(rng):
@@ -166,7 +166,7 @@ def test_success_does_not_punish_the_deformation_itself(rng):
 
 
 def test_a_published_threshold_is_kept_without_the_floor(rng):
-    assert not METRICS["success"].compute(deformed(rng, np.eye(3), 0.2))
+    assert not METRICS["success"].compute(deformed(rng, np.eye(3), {"rmse": 0.2}))
 
 
 def test_poses_outside_the_given_range_are_not_admissible(rng):

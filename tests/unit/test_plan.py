@@ -10,8 +10,8 @@ import pytest
 from workflows import CHECKOUT
 from workflows.config import ConfigError, Experiment, load, parse_selection
 from workflows.integrity import sealed
+from workflows.outlook import outlook_of
 from workflows.stages.plan import MAX_NAME, expand
-from workflows.summary import outlook_of
 
 
 def experiment(**changes) -> Experiment:

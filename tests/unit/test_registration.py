@@ -259,7 +259,9 @@ def test_downsampled_clouds_are_searched_and_the_pose_is_refined_on_all_points(r
     np.testing.assert_allclose(result.translation, [3.0, 3.0], atol=1e-6)
     assert result.objective < 1e-12
     assert "downsampled" in str(result)
-    assert result.to_dict()["downsampled"] == {"n_source": 40, "n_target": 40, "n_inliers": 40}
+    content = result.to_dict()
+    assert content["downsampled"] == {"n_source": 40, "n_target": 40, "n_inliers": 40}
+    assert content["certificate_scope"] == "similarity pose of the sample"
 
 
 def test_the_pose_of_a_sample_is_refined_also_where_its_search_ends_at_the_limit(rng):

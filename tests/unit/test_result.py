@@ -50,7 +50,7 @@ def test_a_result_prints_everything_except_the_pairs():
         ({"status": dcreg.Status.NODE_LIMIT, "lower_bound": 0.0, "gap_tol": 2.0},
          "node_limit: best pose so far, not certified"),
         ({"status": dcreg.Status.NODE_LIMIT}, "a later stage did not finish"),
-        ({"downsampled": Sample(8, 9, 5)},
+        ({"certificate_scope": "similarity pose of the sample"},
          "optimal: certified for the similarity pose of the sample; the lower bound is"),
         ({"status": dcreg.Status.NODE_LIMIT, "lower_bound": 0.0},
          "node_limit: best pose so far, not certified"),

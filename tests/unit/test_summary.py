@@ -11,8 +11,9 @@ from rich.console import Console
 from baselines import registry
 from workflows.config import Experiment, parse_selection
 from workflows.integrity import sealed
+from workflows.outlook import outlook_of
 from workflows.stages.plan import expand
-from workflows.summary import outlook_of, print_baselines, print_summary
+from workflows.summary import print_baselines, print_summary
 
 FAULTS = Path(__file__).parents[1] / "workflow" / "baselines"
 

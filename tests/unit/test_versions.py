@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from baselines import registry
+from baselines import registry, template
 from workflows import versions
 from workflows.outcomes import TIMED
 
@@ -27,7 +27,7 @@ class Adapter(Baseline):
 @pytest.fixture
 def method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the folder of a method that only shifts."""
-    folder = registry.new_baseline("mine", root=tmp_path)
+    folder = template.new_baseline("mine", root=tmp_path)
     edit_card(folder, parameters={})
     write_adapter(folder, "0.5")
     monkeypatch.setenv("DCREG_BASELINES_PATH", str(tmp_path))

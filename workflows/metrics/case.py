@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from data.sampling import reference_pose
 from dcreg.problem import apply_pose
+from workflows import UserError
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,8 @@ class Case:
     pairs: np.ndarray
     n_inliers: int
     scale_range: tuple[float, float]
-    success_rmse: float | None = None  # threshold of the dataset's benchmark (see its card)
+    # Limits of the errors of a successful pose, by metric (`data.contract.Card.success_limits`).
+    success_limits: Mapping[str, float] = field(default_factory=dict)
     lower_bound: float = np.nan
     marks: np.ndarray | None = None  # (k, 2 d): see `workflows.instances.Truth`
     scope: str = ""  # what the lower bound refers to
@@ -99,6 +101,10 @@ class Case:
 Compute = Callable[[Case], float]
 
 
+class MetricError(UserError):
+    """A metric cannot be registered; the message names it and both places."""
+
+
 class Metric(NamedTuple):
     """A column of the table of runs."""
 
@@ -109,6 +115,12 @@ class Metric(NamedTuple):
     compute: Compute | None  # None: filled in by `workflows.stages.evaluate.relate`
     axis: str = ""  # title of its axis in the figures of error against level; empty: not drawn
     recorded: bool = False  # part of the small table that is kept with a version
+    module: str = ""  # that defines it
+
+    @property
+    def is_added(self) -> bool:
+        """Whether another package adds it, so that earlier tables do not have it."""
+        return not self.module.startswith(f"{__package__}.")
 
 
 METRICS: dict[str, Metric] = {}
@@ -131,7 +143,13 @@ def metric(
     def register(function: Compute) -> Compute:
         meaning = " ".join((function.__doc__ or "").split()).removesuffix(".")
         compute = None if relative else function
-        METRICS[function.__name__] = Metric(unit, better, worst, meaning, compute, axis, recorded)
+        name, module = function.__name__, function.__module__
+        if name in METRICS and METRICS[name].module != module:
+            raise MetricError(
+                f"metric {name!r} is defined twice: by {METRICS[name].module} and by {module}; rename "
+                "one of them"
+            )
+        METRICS[name] = Metric(unit, better, worst, meaning, compute, axis, recorded, module)
         return function
 
     return register

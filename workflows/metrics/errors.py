@@ -67,9 +67,13 @@ def rmse_floor(case: Case) -> float:
 @metric("yes/no", "higher", 0.0, recorded=True)
 def success(case: Case) -> bool:
     """Whether rmse_excess is below 0.05 of the longest side of the target's true inliers; if the card
-    of the dataset states success_rmse, whether rmse is below it."""
-    if case.success_rmse is not None:
-        return case.rmse < case.success_rmse
+    of the dataset states limits of errors, whether all of them are kept."""
+    if case.success_limits:
+        errors = {
+            "rmse": rmse, "rotation_error_deg": rotation_error_deg,
+            "translation_error": translation_error,
+        }  # fmt: skip
+        return all(errors[name](case) < limit for name, limit in case.success_limits.items())
     return case.rmse_excess < SUCCESS_SHARE * case.longest_side
 
 

@@ -1,6 +1,8 @@
 # Fetches and verifies the files that the instances of a chunk need; one at a time, as chunks share files.
 def fetch_cards(wildcards):
-    return sources(*(f"data/{name}" for name in PLAN.chunk(wildcards.chunk).datasets))
+    from workflows.stages.generate import fetched_digest
+
+    return fetched_digest(PLAN.chunk(wildcards.chunk).datasets)
 
 
 rule fetch:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,18 +14,20 @@ import pandas as pd
 from baselines import registry
 from dcreg.files import whole_file
 from dcreg.status import Status
-from workflows import attribution, outcomes, provenance, records
-from workflows.config import MethodSettings
+from workflows import CHECKOUT, attribution, outcomes, provenance, records
 from workflows.instances import read_problems
 from workflows.integrity import sealed_file
+from workflows.labels import display_names
 from workflows.metrics import METRICS
 from workflows.outcomes import OUTCOMES
+from workflows.stages.clouds import CLOUDS, clouds
 from workflows.stages.plan import Plan, plan_table
 
 if TYPE_CHECKING:
     import polars as pl
 
 MAX_OVERLAY_POINTS = 400  # per set
+REPLAY = "make replay"  # of the Makefile
 MOST_CSV_ROWS = 200_000  # of a CSV copy
 # Facts about an instance in the row of a run.
 OF_INSTANCE = [
@@ -58,6 +61,7 @@ def aggregate(plan: Plan, folder: Path) -> None:
         accounting(runs).to_csv(part, index=False)
     _write_json(out / "provenance.json", _provenance(plan, runs))
     _write_json(out / "overlays.json", overlays(plan, folder, runs))
+    records.write(clouds(plan, folder), out / CLOUDS)
 
 
 def join_runs(plan: Plan, folder: Path) -> pl.LazyFrame:
@@ -134,10 +138,11 @@ def _facts(plan: Plan) -> pl.LazyFrame:
     """Return a row per method with what its runs have in common."""
     import polars as pl
 
+    names = display_names(plan.experiment.methods)
     rows = [
         {
             "method": method.name,
-            "display_name": display_name(method),
+            "display_name": names[method.name],
             "provenance": registry.read_card(method.baseline).provenance,
             "n_inliers_ratio": method.n_inliers_ratio,
         }
@@ -174,21 +179,6 @@ def _left_out(plan: Plan, runs: pl.LazyFrame) -> pl.LazyFrame:
     )
     table = left_out.assign(status=Status.NOT_RUN.value, n_inliers=0, **answers)
     return pl.from_pandas(table).lazy()
-
-
-def display_name(method: MethodSettings) -> str:
-    """Return the displayed name of a line: its label, or the card's name with an unusual n_inliers.
-
-    A reconstruction is always marked as such.
-    """
-    card = registry.read_card(method.baseline)
-    if method.label:
-        is_unmarked = (
-            card.provenance == "reconstruction" and "reconstruct" not in method.label.lower()
-        )
-        return f"{method.label} (reconstructed)" if is_unmarked else method.label
-    name = card.display_name
-    return name if method.n_inliers_ratio == 1 else f"{name} (n_p × {method.n_inliers_ratio:g})"
 
 
 def accounting(runs: pd.DataFrame) -> pd.DataFrame:
@@ -232,7 +222,6 @@ def overlays(plan: Plan, folder: Path, runs: pd.DataFrame) -> list[dict[str, Any
             **{key: run[key] for key in ("level", "trial", "rmse", "status", "model", "rank")},
             **clouds[run["instance_id"]],
             "T_target_source": json.loads(poses[run["run_id"]]),
-            "replay": replay_command(plan, run["run_id"]),
         }
         for run in chosen.to_dict("records")
     ]
@@ -257,14 +246,12 @@ def run_command(plan: Plan) -> str:
     return " ".join(["python -m workflows run", shlex.quote(plan.config), *parts])
 
 
-def replay_command(plan: Plan, run_id: str) -> str:
-    """Return the command line that repeats this run."""
-    return f"{replay_of(plan)} {run_id}"
-
-
-def replay_of(plan: Plan) -> str:
-    """Return the command line that repeats a run, without the run."""
-    return f"python -m workflows replay --experiment {shlex.quote(plan.config)}"
+def replay_of() -> str:
+    """Return the command line that repeats a run of this folder of results, without the run."""
+    here = Path.cwd()
+    if here == CHECKOUT:
+        return f"{REPLAY} RUN="
+    return f"{REPLAY} RESULTS={shlex.quote(os.path.relpath(here / 'results', CHECKOUT))} RUN="
 
 
 def _points(points: np.ndarray) -> list[list[float]]:
@@ -277,10 +264,15 @@ def _points(points: np.ndarray) -> list[list[float]]:
 def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
     chosen = {axis: value for axis, value in plan.selection.model_dump().items() if value}
     reasons = runs[runs["outcome"] == "unavailable"].groupby("method")["message"].first()
+    names = display_names(plan.experiment.methods)
     return {
         "schema_version": records.SCHEMA_VERSION,
         "experiment": plan.experiment.name,
         "config": plan.experiment.model_dump(),
+        # of one's own: relative to the checkout
+        "config_file": os.path.relpath(plan.config, CHECKOUT)
+        if Path(plan.config).is_file()
+        else "",
         "selection": chosen,
         "machine": provenance.machine_card(),
         "machines_of_runs": sorted(runs["machine_id"].unique()),
@@ -288,12 +280,13 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
         "git": provenance.git_state(),
         "created": provenance.now(),
         "commands": [run_command(plan)],
-        "replay": replay_of(plan),
+        "replay": replay_of(),
         "methods": {
             method.name: {
                 **registry.read_card(method.baseline).model_dump(),
                 "baseline": method.baseline,
-                "display_name": display_name(method),
+                "origin": registry.origin_of(method.baseline),
+                "display_name": names[method.name],
                 "options": method.options,
                 "idle_options": sorted(registry.idle_options(method.baseline, method.options)),
                 "n_inliers_ratio": method.n_inliers_ratio,

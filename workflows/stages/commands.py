@@ -99,10 +99,10 @@ def solve(
     """Run a method on a chunk of instances."""
     # Raise, so that workers and their children are ended too.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    from workflows.config import load
+    from workflows.config import load, with_methods
     from workflows.stages.solve import solve as solve_chunk
 
-    settings = load(experiment)
+    settings = with_methods(load(experiment), [method])
     solve_chunk(
         settings,
         settings.method(method),

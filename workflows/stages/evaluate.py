@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from baselines import registry as methods
 from data import registry
 from workflows import records
 from workflows.instances import Problem, Truth, read_problems, read_truths
-from workflows.metrics import METRICS, Case
+from workflows.metrics import BROKEN, METRICS, Case, Metric
 
 # Columns of raw results that `judge` needs.
 JUDGED = [
@@ -26,12 +28,14 @@ JUDGED = [
 
 def evaluate(folder: Path, plan_path: Path) -> pd.DataFrame:
     """Return one row of metrics for every planned run, from the instances and runs in `folder`."""
+    for origin, reason in BROKEN.items():
+        _report(f"{origin} is left out: {reason}")
     plan = records.read(plan_path, records.PLAN)
     options = {
         row["method"]: methods.read_card(row["baseline"]).parameters | json.loads(row["options"])
         for row in plan.drop_duplicates("method").to_dict("records")
     }
-    limits = {dataset: success_rmse(dataset) for dataset in plan["dataset"].unique()}
+    limits = {dataset: success_limits(dataset) for dataset in plan["dataset"].unique()}
     tables = []
     for chunk_id, planned in plan.groupby("chunk_id", sort=False):
         problems = {p.instance_id: p for p in read_problems(folder / f"instances/{chunk_id}.npz")}
@@ -55,17 +59,17 @@ def _raw(path: Path) -> list[dict[str, Any]]:
     return records.scan([path], JUDGED).with_columns(numbers).collect().to_dicts()
 
 
-def success_rmse(dataset: str) -> float | None:
-    """Return the threshold that the benchmark of a dataset defines, if it defines one."""
-    found = registry.datasets().get(dataset)
-    return found.card.success_rmse if found else None
+def success_limits(dataset: str) -> dict[str, float]:
+    """Return the limits of errors of a successful pose that the card of a dataset states, by metric."""
+    found = registry.datasets()
+    return found[dataset].card.success_limits if dataset in found else {}
 
 
 def judge(
     run: Mapping[Any, Any],
     problem: Problem,
     truth: Truth,
-    success_rmse: float | None = None,
+    limits: Mapping[str, float] | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Return the metrics of one run; without a pose they are empty, and those of yes or no are no.
@@ -91,7 +95,7 @@ def judge(
         marks=truth.marks,
         n_inliers=run["n_inliers"],
         scale_range=problem.scale_range,
-        success_rmse=success_rmse,
+        success_limits=limits or {},
         lower_bound=run["lower_bound"],
         scope=run["certificate_scope"],
         is_downsampled=(run["n_source"], run["n_target"])
@@ -101,10 +105,29 @@ def judge(
     for name, metric in METRICS.items():
         # Metrics of the ground truth alone also have a value where the method found no pose.
         known = found is not None or metric.better == "none"
-        row[name] = metric.compute(case) if metric.compute and known else np.nan
+        row[name] = _value(name, metric, case) if known else np.nan
         if metric.unit == "yes/no":
             row[name] = found is not None and bool(row[name])
     return row
+
+
+def _value(name: str, metric: Metric, case: Case) -> float:
+    """Compute a metric; one that another package adds may fail, and is then empty."""
+    if metric.compute is None:
+        return np.nan
+    try:
+        return metric.compute(case)
+    except Exception as error:
+        if not metric.is_added:
+            raise
+        _report(f"metric {name} of {metric.module} is left empty: {type(error).__name__}: {error}")
+        return np.nan
+
+
+@cache
+def _report(problem: str) -> None:
+    """Print a problem once."""
+    print(f"warning: {problem}", file=sys.stderr, flush=True)
 
 
 def truth_in_cube(

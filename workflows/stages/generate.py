@@ -14,7 +14,7 @@ from data.contract import DataError, RawInstance
 from dcreg.problem import apply_pose
 from workflows import CHECKOUT
 from workflows.disturb import make_instance
-from workflows.hashing import digest, digest_files
+from workflows.hashing import digest, digest_paths
 from workflows.instances import Problem, Truth, with_oracle, write_problems, write_truths
 
 if TYPE_CHECKING:
@@ -103,13 +103,18 @@ def noise_bound(raw: RawInstance) -> float:
 
 def sources_digest(datasets: list[str]) -> str:
     """Hash all code and cards that determine the instances of these datasets."""
-    own = [path for name in datasets for path in (CHECKOUT / "data" / name).rglob("*")]
-    roots = [Path(__file__), *(path for path in own if path.is_file() and path.suffix != ".pyc")]
-    behind = files_behind(roots, CHECKOUT, ("baselines", "data", "dcreg", "workflows"))
-    code = sorted(str(path.relative_to(CHECKOUT)) for path in behind)
+    own = [path for name in datasets for path in registry.files_of(name)]
+    behind = files_behind(
+        [Path(__file__), *own], CHECKOUT, ("baselines", "data", "dcreg", "workflows")
+    )
     local = [path for name in datasets for path in registry.dataset(name).local_files()]
     states = [[str(path), path.stat().st_size, path.stat().st_mtime_ns] for path in local]
-    return digest([digest_files(CHECKOUT, code), states])
+    return digest([digest_paths(behind, CHECKOUT), states])
+
+
+def fetched_digest(datasets: list[str]) -> str:
+    """Hash the folders of these datasets, whose cards list their files."""
+    return digest_paths([path for name in datasets for path in registry.files_of(name)], CHECKOUT)
 
 
 def raw_instance(spec: InstanceSpec) -> RawInstance:

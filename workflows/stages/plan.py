@@ -27,6 +27,7 @@ from workflows.config import (
     Experiment,
     MethodSettings,
     Selection,
+    with_methods,
 )
 from workflows.hashing import digest
 
@@ -170,12 +171,16 @@ def expand(
 ) -> Plan:
     """Return the plan of the selected part of an experiment, or of the needed blocks.
 
+    A selected method that the experiment lacks is added to it, if it exists.
+
     Raises
     ------
     ConfigError
         If the selection names something that the experiment does not have, or selects no run.
     """
     selection = selection or Selection()
+    of_blocks = {name for own in needs.trials.values() for name in own} if needs else set()
+    experiment = with_methods(experiment, [*selection.methods, *sorted(of_blocks)])
     instances = _instances(experiment)
     _check_selection(experiment, selection, instances)
     chosen = [instance for instance in instances if _selected(instance, selection)]
@@ -220,6 +225,15 @@ def plan_table(plan: Plan, runs: Iterable[PlannedRun] | None = None) -> pd.DataF
     ]
     assert len({row["run_id"] for row in rows}) == len(rows)
     return records.frame(rows, records.PLAN)
+
+
+def size_notes(plan: Plan) -> list[str]:
+    """Say of each dataset of the plan how its clouds are reduced, if they are."""
+    sizes = {
+        (spec.dataset, spec.n_points): None for chunk in plan.chunks for spec in chunk.instances
+    }
+    notes = [registry.dataset(name).size_note(n_points) for name, n_points in sizes]
+    return list(filter(None, dict.fromkeys(notes)))
 
 
 def _instances(experiment: Experiment) -> list[InstanceSpec]:
@@ -297,7 +311,8 @@ def _check_selection(
         for value in getattr(selection, axis):
             if value not in known:
                 words = [f"{word:g}" if isinstance(word, float) else str(word) for word in known]
+                words += methods.names() if axis == "methods" else []
                 raise ConfigError(
                     f"experiment {experiment.name}: selection {axis.upper()}={value} matches "
-                    f"nothing{suggestion(str(value), words)}"
+                    f"nothing{suggestion(str(value), dict.fromkeys(words))}"
                 )

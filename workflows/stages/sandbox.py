@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import Pipe
 from pathlib import Path
@@ -44,10 +45,19 @@ class WorkerDiedError(WorkerLostError):
 
 
 class Worker:
-    """One worker process and the pipe to it."""
+    """One worker process and the pipe to it.
 
-    def __init__(self, threads: int, memory_mb: int, log: Path) -> None:
-        self.memory_mb = memory_mb
+    `watch` is called while the worker is busy, with the share that its search has proven if that is new.
+    """
+
+    def __init__(
+        self,
+        threads: int,
+        memory_mb: int,
+        log: Path,
+        watch: Callable[[float | None], None] = lambda proven: None,
+    ) -> None:
+        self.memory_mb, self.watch = memory_mb, watch
         self.compiled = False  # whether code was compiled within the last request
         self._alive = True
         self._family: list[psutil.Process] = []
@@ -100,8 +110,14 @@ class Worker:
             raise WorkerDiedError(f"worker {self._end()}") from error
 
     def _received(self, timeout_s: float, limit: str) -> Any:
-        """Return what the worker sends next; until then, watch its time and memory."""
+        """Return the worker's next answer; until then, watch its time and memory."""
         deadline = time.monotonic() + timeout_s
+        while isinstance(answer := self._next(deadline, timeout_s, limit), float):
+            self.watch(answer)
+        return answer
+
+    def _next(self, deadline: float, timeout_s: float, limit: str) -> Any:
+        """Return the worker's next message."""
         while not self.connection.poll(max(0.0, min(WATCH_S, deadline - time.monotonic()))):
             used_mb = self._memory_mb()
             if used_mb > self.memory_mb:
@@ -115,6 +131,7 @@ class Worker:
                 if was_stopped:
                     raise WorkerDiedError("worker was stopped from outside")
                 raise WorkerLostError(f"killed after {timeout_s:.1f} s without an answer; {limit}")
+            self.watch(None)
         return self.connection.recv()
 
     def kill(self, patience_s: float = 0.0) -> None:
@@ -164,10 +181,17 @@ class Worker:
 class Sandbox:
     """A method that solves one instance after the other, whatever happens to its worker."""
 
-    def __init__(self, method: MethodSettings, limits: LimitSettings, log: Path) -> None:
+    def __init__(
+        self,
+        method: MethodSettings,
+        limits: LimitSettings,
+        log: Path,
+        watch: Callable[[float | None], None] = lambda proven: None,
+    ) -> None:
         self.method = method
         self.limits = limits
         self.log = log
+        self.watch = watch  # as of `Worker`
         # Time to start and compile of the present worker, and the sum over all workers.
         self.time_warmup_s = float("nan")
         self.time_started_s = 0.0
@@ -210,7 +234,7 @@ class Sandbox:
 
     def _started(self, instance: Instance) -> Worker | None:
         patience: Any = {"timeout_s": self.limits.warm_up_s, "limit": "this was the warm-up"}
-        worker = Worker(self.limits.threads, self.limits.memory_mb, self.log)
+        worker = Worker(self.limits.threads, self.limits.memory_mb, self.log, self.watch)
         try:
             method, threads = self.method, self.limits.threads
             answer = worker.ask("open", method.baseline, method.options, threads, **patience)

@@ -27,9 +27,8 @@ from workflows.config import Experiment, MethodSettings
 from workflows.instances import content_digest, read_problems, read_truths, with_oracle
 from workflows.integrity import opened, sealed
 from workflows.stages.plan import run_identity
+from workflows.stages.progress import Reporter
 from workflows.stages.sandbox import Sandbox
-
-PROGRESS_S = 10.0  # between two lines of progress
 
 
 def solve(
@@ -55,13 +54,8 @@ def solve(
         instances = [with_oracle(each, truths[each.instance_id], outliers) for each in instances]
     runs_path.parent.mkdir(parents=True, exist_ok=True)
     title = f"solve     {method.name:<16} {runs_path.stem:<14}"
-    start = last_said = time.monotonic()
-    rows = []
-    for row in _rows(experiment, method, instances, runs_path):
-        rows.append(row)
-        if time.monotonic() - last_said > PROGRESS_S:
-            last_said = time.monotonic()
-            say(f"{title} {len(rows)}/{len(instances)} …")
+    start = time.monotonic()
+    rows = list(_rows(experiment, method, instances, runs_path))
     counts = Counter(row["status"] for row in rows)
     ended = ", ".join(f"{count} {status}" for status, count in counts.most_common())
     say(f"{title} {len(rows)} runs: {ended}; {time.monotonic() - start:.1f} s")
@@ -107,7 +101,12 @@ def _rows(
     log = runs_path.with_suffix(".log")
     journal_path = runs_path.with_suffix(".journal.jsonl")
     limits = experiment.limits_of(method)
-    with Sandbox(method, limits, log) as sandbox, _appending(journal_path) as journal:
+    reporter = Reporter(method.name, runs_path)
+    with (
+        reporter,
+        Sandbox(method, limits, log, reporter.alive) as sandbox,
+        _appending(journal_path) as journal,
+    ):
         for instance in instances:
             since = time.perf_counter()
             identity = {
@@ -123,6 +122,7 @@ def _rows(
             if row := finished.get(_key(identity)):
                 yield row
                 continue
+            reporter.begin(instance.instance_id)
             started = sandbox.time_started_s
             row = {**identity, **_plain(sandbox.solve(instance), _exact_fit(instance))}
             waited = time.perf_counter() - since - (sandbox.time_started_s - started)

@@ -2,7 +2,8 @@
 
 ``python -m workflows.stages.worker FD`` answers requests on the inherited connection FD until it closes.
 Every request is answered with a dict, or the process dies; the parent (`sandbox`) handles both. The
-answer may be preceded by `COMPILING`: code is compiled within the request, so its time is not valid.
+answer may be preceded by `COMPILING`: code is compiled within the request, so its time is not valid; and
+by numbers: the share that a search has proven.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import ctypes
 import faulthandler
 import signal
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable
@@ -28,6 +30,7 @@ MAX_TRACE = 500  # events kept of one run
 COUNTERS = ("n_nodes", "n_assignments")
 MB = 2**20
 COMPILING = "compiling"
+REPORT_S = 1.0  # between two reports of a search
 CROSSED = 1e-6  # relative rounding of two bounds that meet
 # A method that exceeds its limit by this factor had an advantage over those that keep it.
 LATE = 1.1
@@ -36,13 +39,14 @@ LATE = 1.1
 class Server:
     """Answers the parent's requests for one method.
 
-    `notify` sends the parent a message before the answer.
+    `notify` sends the parent a message before the answer: `COMPILING`, or the share that is proven.
     """
 
     method: Baseline
 
-    def __init__(self, notify: Callable[[str], None]) -> None:
+    def __init__(self, notify: Callable[[str | float], None]) -> None:
         self.notify = notify
+        self._reported_at = 0.0
 
     def open(self, baseline: str, options: dict[str, Any], threads: int) -> dict[str, Any]:
         """Import and configure the method; ``reason`` explains why it cannot run here."""
@@ -66,6 +70,7 @@ class Server:
         """Solve one instance; every exception becomes a status."""
         if reason := self.method.supports(instance):
             return {"status": Status.UNSUPPORTED, "message": reason}
+        self._observe_searches()
         _reset_peak()
         start = time.perf_counter()
         try:
@@ -83,10 +88,30 @@ class Server:
             answer = {"status": Status.FAILED, "message": _described(error)}
         return {**answer, "time_solve_s": time_solve_s, "peak_memory_mb": _peak_memory_mb()}
 
+    def _observe_searches(self) -> None:
+        """Report the searches of the library, and of methods that use its budget, once a second.
+
+        It does nothing in a process that has not loaded the budget by the end of its warm-up.
+        """
+        if module := sys.modules.get("dcreg.search.budget"):
+            module.Budget.observer = self._report
+
+    def _report(self, event: Any) -> None:
+        now = time.monotonic()
+        if now - self._reported_at >= REPORT_S:
+            self._reported_at = now
+            self.notify(float(event.bound_ratio))
+
 
 def serve(connection: Connection) -> None:
     """Answer requests ``(command, arguments)`` until the parent closes the connection."""
-    server = Server(connection.send)
+    lock = threading.Lock()  # searches report from a thread of their own
+
+    def send(message: Any) -> None:
+        with lock:
+            connection.send(message)
+
+    server = Server(send)
     while True:
         try:
             command, arguments = connection.recv()
@@ -98,7 +123,7 @@ def serve(connection: Connection) -> None:
         except Exception as error:
             traceback.print_exc()
             answer = {"error": _described(error)}
-        connection.send({"time_s": time.perf_counter() - start, **answer})
+        send({"time_s": time.perf_counter() - start, **answer})
 
 
 def _checked(solution: Solution, dim: int) -> dict[str, Any]:

@@ -149,7 +149,7 @@ def method_bound(method: BoxBounding, case: Case, box: Box) -> tuple[float, floa
 
 def methods(instance: Instance) -> Iterator[tuple[str, BoxBounding]]:
     """Yield each method that bounds boxes with its name, or once per bound with the bound's name."""
-    for name in registry.names():
+    for name in (row["name"] for row in registry.availability() if row["available"]):
         bounds = getattr(registry.load(name), "bounds", ())
         for label, options in [(bound, {"bound": bound}) for bound in bounds] or [(name, {})]:
             method = registry.load(name, **options)

@@ -1,0 +1,152 @@
+"""Check the library: files, poses by two evaluators, and proofs by the independent checker."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from data.contract import DataError
+from data.library.evaluate import admissible, evaluate
+from data.library.matchings import best_of_all_matchings
+from data.library.problem import HERE, PROBLEMS, LibraryError, Problem, read_problem
+from data.library.record import LAST_DIGITS, PROOFS, Enumeration, Record, read_record
+from data.library.submit import checked_proof, proof_path
+from dcreg.files import write_text
+
+CHECKSUMS = HERE / "checksums.json"
+SAMPLE_EVERY = 4  # of the stored proofs, in the order of their names
+QUICK_CHECK_S = 5.0  # a proof of the sample took at most so long
+
+Say = Callable[[str], None]
+
+
+@dataclass
+class Checked:
+    """What was checked, and the faults found."""
+
+    n_problems: int = 0
+    n_poses: int = 0
+    n_proofs: int = 0
+    skipped: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
+
+
+def checksums() -> dict[str, str]:
+    """Return the SHA-256 of every problem file, by ``NAME@VERSION``."""
+    return {
+        path.stem: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(PROBLEMS.glob("*.json"))
+    }
+
+
+def write_checksums() -> Path:
+    """Add the checksums of new problem files to the list.
+
+    Raises
+    ------
+    LibraryError
+        If a listed file has changed or is missing.
+    """
+    found = checksums()
+    if faults := changed_files(found):
+        raise LibraryError(faults[0])
+    write_text(CHECKSUMS, json.dumps(found, indent=0) + "\n")
+    return CHECKSUMS
+
+
+def changed_files(found: dict[str, str]) -> list[str]:
+    """Return a line for each listed problem file that differs from the list, or is missing."""
+    listed = json.loads(CHECKSUMS.read_text(encoding="utf-8")) if CHECKSUMS.is_file() else {}
+    return [
+        f"{problem_id}: its file is {'missing' if problem_id not in found else 'changed'}; restore it, "
+        "and give a corrected problem a new version"
+        for problem_id, sha256 in listed.items()
+        if found.get(problem_id) != sha256
+    ]
+
+
+def check(say: Say, *, every_proof: bool = False) -> Checked:
+    """Check all problems and records, and a sample of the proofs, or every proof."""
+    done, found = Checked(), checksums()
+    done.faults += changed_files(found)
+    sample = set(sampled_proofs(found)) if not every_proof else set(found)
+    for problem_id in found:
+        try:
+            problem = read_problem(PROBLEMS / f"{problem_id}.json")
+            record = read_record(problem_id)
+            _ = problem.clouds
+        except LibraryError as error:
+            done.faults.append(str(error))
+            continue
+        except DataError as error:  # the files of a recipe
+            done.skipped.append(f"{problem_id}: {error}")
+            continue
+        done.n_problems += 1
+        done.faults += faulty_poses(problem, record)
+        done.n_poses += len(record.poses)
+        if record.best_bound is not None and problem_id in sample:
+            _check_proof(problem, record, done)
+            say(f"{problem_id}: proof of {record.lower_bound:.9g}")
+    return done
+
+
+def sampled_proofs(problem_ids: Iterable[str]) -> list[str]:
+    """Return the problems whose proof every check verifies: each fourth of the quick stored ones."""
+    quick = []
+    for problem_id in sorted(problem_ids):
+        proof = read_record(problem_id).certificate
+        if proof is not None and proof.stored and proof.check_s <= QUICK_CHECK_S:
+            quick.append(problem_id)
+    return quick[::SAMPLE_EVERY]
+
+
+def faulty_poses(problem: Problem, record: Record) -> list[str]:
+    """Evaluate all poses of a record again; return what is wrong."""
+    faults = []
+    for entry in record.poses:
+        try:
+            value = evaluate(problem, admissible(problem, entry.pose))
+        except LibraryError as error:
+            faults.append(str(error))
+            continue
+        if abs(value - entry.objective) > LAST_DIGITS * max(value, entry.objective):
+            faults.append(
+                f"{problem.id}: objective: {entry.objective!r} is stored, but the pose of {entry.by} "
+                f"has {value!r}"
+            )
+    if record.lower_bound > record.objective * (1 + LAST_DIGITS):
+        faults.append(f"{problem.id}: lower_bound: {record.lower_bound!r} exceeds the objective")
+    return faults
+
+
+def _check_proof(problem: Problem, record: Record, done: Checked) -> None:
+    proof = record.certificate
+    if proof is not None and not proof.stored:
+        done.skipped.append(f"{problem.id}: proof: not stored; make it with {proof.command}")
+        return
+    done.n_proofs += 1
+    done.faults += faulty_proof(problem, record)
+
+
+def faulty_proof(problem: Problem, record: Record, proofs: Path = PROOFS) -> list[str]:
+    """Verify the proof of the best bound again; return what is wrong."""
+    bound = record.best_bound
+    assert bound is not None
+    if isinstance(bound.proof, Enumeration):
+        proven = best_of_all_matchings(problem).optimum
+    else:
+        path = proof_path(problem.id, bound.proof.sha256, proofs)
+        try:
+            if hashlib.sha256(path.read_bytes()).hexdigest() != bound.proof.sha256:
+                return [f"{problem.id}: proof: {path.name} is not the file that was accepted"]
+            proven = checked_proof(problem, path)[1].lower_bound
+        except (LibraryError, OSError) as error:
+            return [str(error)]
+    if proven < bound.lower_bound * (1 - LAST_DIGITS):
+        return [
+            f"{problem.id}: lower_bound: {bound.lower_bound!r} is stored, but the proof gives {proven!r}"
+        ]
+    return []

@@ -1,0 +1,1 @@
+"""Principal axes, then ICP."""

@@ -1,0 +1,1 @@
+"""A spiral in 2D."""

@@ -1,0 +1,151 @@
+"""The page of the library: ``python -m reports library``. One file that needs no network."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from data.library.problem import Problem, all_problems
+from data.library.record import BoundEntry, PoseEntry, Record, read_record
+from dcreg import __version__
+from reports import templating
+from reports.library import difficulty, drawing
+from reports.page import pack_json
+
+HERE = Path(__file__).parents[1]
+WORDS = {
+    "easy": "proven by default options within 60 s of processor time",
+    "hard": "proven with more effort",
+    "open": "not proven",
+}
+BIBTEX = """@misc{{dcreg-library-{key},
+  title = {{Problem {id} of the DC-Reg library of registration problems with proven optima}},
+  note = {{Version {dcreg} of the record. {origin}}}
+}}"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One problem in the table."""
+
+    problem: Problem
+    record: Record
+    status: str
+    overlap: float
+    thumbnail: str
+    proven_by: str
+
+    @property
+    def n_points(self) -> int:
+        return max(self.problem.n_source, self.problem.n_target)
+
+    @property
+    def optima(self) -> int | None:
+        return None if self.record.optima is None else self.record.optima.count
+
+
+def build(out: Path) -> Path:
+    """Write the page, and the table of difficulty next to it.
+
+    Parameters
+    ----------
+    out : Path
+        A folder.
+
+    Returns
+    -------
+    Path of the page.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    rows = [_row(problem, read_record(problem.id)) for problem in all_problems().values()]
+    table = difficulty.table(
+        (row.problem, row.record) for row in rows if not row.problem.needs_files
+    )
+    table.to_csv(out / "difficulty.csv", index=False)
+    html = templating.environment().get_template("library.html").render(
+        css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
+        script=(HERE / "assets" / "library.js").read_text(encoding="utf-8"),
+        rows=rows,
+        counts=Counter(row.status for row in rows),
+        proven_3d=sum(row.status != "open" and row.problem.dim == 3 for row in rows),
+        words=WORDS,
+        families=sorted({row.problem.family for row in rows}),
+        panels=drawing.panels(table),
+        finding=difficulty.fit(table).sentence(),
+        data=pack_json({row.problem.id: _details(row) for row in rows}),
+        version=__version__,
+    )  # fmt: skip
+    page = out / "index.html"
+    page.write_text(html, encoding="utf-8")
+    return page
+
+
+def _row(problem: Problem, record: Record) -> Row:
+    n_pairs = problem.n_inliers if problem.truth is None else len(problem.truth.pairs)
+    bound = record.best_bound
+    return Row(
+        problem, record, record.status(problem),
+        n_pairs / max(problem.n_source, problem.n_target), drawing.thumbnail(problem, record),
+        "" if bound is None else bound.by,
+    )  # fmt: skip
+
+
+def _details(row: Row) -> dict[str, Any]:
+    """Return what the view of one problem shows."""
+    problem, record = row.problem, row.record
+    best = record.best_pose
+    details = {
+        "title": problem.title, "origin": problem.origin, "licence": problem.licence,
+        "unit": problem.unit, "scale_range": problem.scale_range, "family": problem.family,
+        "facts": _facts(row), "history": _history(record),
+        "cite": BIBTEX.format(
+            key=problem.name, id=problem.id, dcreg=__version__, origin=problem.origin
+        ),
+    }  # fmt: skip
+    if not problem.needs_files and best is not None:
+        source, target = problem.clouds
+        details |= {"source": source, "target": target, "pose": best.pose}
+        details["truth"] = None if problem.truth is None else problem.truth.pose
+    return details
+
+
+def _facts(row: Row) -> list[tuple[str, str]]:
+    problem, record = row.problem, row.record
+    best, bound, proof = record.best_pose, record.best_bound, record.certificate
+    facts = {
+        "status": f"{row.status}: {WORDS[row.status]}",
+        "model": problem.model,
+        "points": f"{problem.n_source} and {problem.n_target}",
+        "n_inliers": str(problem.n_inliers),
+        "best known objective": "" if best is None
+        else f"{best.objective:.9g} ({best.by}, {best.how})",
+        "proven lower bound": "" if bound is None
+        else f"{bound.lower_bound:.9g} ({bound.by}, {bound.how})",
+        "gap": f"{record.gap:.2%}",
+        "distinct optima": "" if record.optima is None
+        else f"{record.optima.count} ({record.optima.how})",
+        "proof": "" if proof is None else f"{proof.n_leaves:,} leaf boxes, {proof.size / 1000:.0f} kB, "
+        + (f"checked in {proof.check_s:.1f} s" if proof.stored else f"not stored; {proof.command}"),
+    }  # fmt: skip
+    for entry in record.solves:
+        options = ", ".join(entry.options) or "default options"
+        facts[f"{entry.by}, {options}"] = f"{entry.status}, {entry.cpu_s:.2f} s of processor time"
+    return [(name, text) for name, text in facts.items() if text]
+
+
+def _history(record: Record) -> list[dict[str, Any]]:
+    """Return the best objective and bound after each entry that changed one of them."""
+    upper: float | None = None
+    lower: float | None = None
+    steps = []
+    for entry in record.entries:
+        if isinstance(entry, PoseEntry):
+            upper = entry.objective if upper is None else min(upper, entry.objective)
+        elif isinstance(entry, BoundEntry):
+            lower = entry.lower_bound if lower is None else max(lower, entry.lower_bound)
+        else:
+            continue
+        steps.append({"by": entry.by, "date": entry.date, "upper": upper, "lower": lower})
+    return steps

@@ -1,0 +1,337 @@
+"""The library of problems with proven optima: files, records, checks, submissions and solves."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import jsonschema
+import numpy as np
+import pandas as pd
+import pytest
+
+import dcreg
+from data.library import evaluate, matchings, record, submit
+from data.library.check import (
+    changed_files,
+    checksums,
+    faulty_poses,
+    faulty_proof,
+    sampled_proofs,
+)
+from data.library.problem import (
+    HERE,
+    PROBLEMS,
+    LibraryError,
+    Problem,
+    all_problems,
+    find_problem,
+    read_problem,
+    write_problem,
+)
+from data.library.record import PROOFS, PoseEntry, Record, read_record
+from tests.oracles.kernels import k_assignment
+from tests.oracles.matchings import optimal_similarity
+from workflows.library.constructions import solid, tiny
+from workflows.library.generate import as_problem
+from workflows.library.recording import record_answers
+from workflows.library.running import instance_of, judged, summary
+from workflows.library.solve import solve
+
+KNOWN = all_problems()
+RECORDS = {problem_id: read_record(problem_id) for problem_id in KNOWN}
+ONE = find_problem("fish-60-noise-03")
+AUTHOR = {"by": "test", "date": "2026-11-26", "how": "a test"}
+
+
+# --- files ---------------------------------------------------------------------------------------
+
+
+def test_no_problem_has_changed_and_all_are_listed():
+    found = checksums()
+    assert changed_files(found) == []
+    assert set(found) == set(json.loads((HERE / "checksums.json").read_text(encoding="utf-8")))
+    found[ONE.id] = "0" * 64
+    assert changed_files(found)[0].startswith(f"{ONE.id}: its file is changed; restore it")
+    del found[ONE.id]
+    assert "is missing" in changed_files(found)[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("problem", Problem), ("record", Record), ("submission", submit.Submission)],
+)
+def test_schemas_are_those_of_the_classes(name, kind):
+    schema = json.loads((HERE / f"{name}.schema.json").read_text(encoding="utf-8"))
+    assert schema == kind.model_json_schema(), "run python -m data.library schema"
+
+
+def test_files_are_valid_under_their_schemas():
+    for name, folder in (("problem", PROBLEMS), ("record", record.RECORDS)):
+        schema = json.loads((HERE / f"{name}.schema.json").read_text(encoding="utf-8"))
+        check = jsonschema.Draft202012Validator(schema)
+        for path in sorted(folder.glob("*.json"))[::25]:
+            check.validate(json.loads(path.read_text(encoding="utf-8")))
+
+
+def test_the_library_is_as_large_and_as_small_as_promised():
+    problems = list(KNOWN.values())
+    statuses = {problem.id: RECORDS[problem.id].status(problem) for problem in problems}
+    proven = [problem for problem in problems if statuses[problem.id] != "open"]
+    assert len(problems) >= 200
+    assert sum(problem.family == "tiny" for problem in problems) <= 40
+    assert sum(min(problem.n_source, problem.n_target) >= 60 for problem in problems) >= 100
+    assert len(problems) - len(proven) >= 20
+    assert len(proven) >= 120
+    assert sum(problem.dim == 3 for problem in proven) >= 60
+    assert all(record.best_pose for record in RECORDS.values())
+    assert sum(path.stat().st_size for path in HERE.rglob("*") if path.is_file()) < 20e6
+
+
+def test_third_party_points_are_not_stored():
+    for problem in KNOWN.values():
+        assert (problem.licence == "MIT") == (problem.source_points is not None)
+
+
+def test_a_file_gives_the_same_problem_and_cannot_be_replaced(tmp_path):
+    path = write_problem(ONE, tmp_path)
+    assert read_problem(path) == ONE
+    assert path.read_bytes() == (PROBLEMS / path.name).read_bytes()
+    with pytest.raises(LibraryError, match=r"problems never change, so use version 2"):
+        write_problem(ONE.model_copy(update={"title": "another"}), tmp_path)
+
+
+@pytest.mark.parametrize("draft", [tiny(0), solid("cube", 0.1)], ids=lambda draft: draft.name)
+def test_constructions_give_the_stored_points(draft):
+    stored = find_problem(draft.name)
+    assert as_problem(draft).source_sha256 == stored.source_sha256
+    assert as_problem(draft).target_sha256 == stored.target_sha256
+
+
+def test_changed_points_and_bad_fields_are_refused(tmp_path):
+    rows = [[0.0, 0.0], *ONE.source_points[1:]]
+    with pytest.raises(LibraryError, match="source has the checksum"):
+        _ = ONE.model_copy(update={"source_points": rows}).clouds
+    path = tmp_path / f"{ONE.id}.json"
+    path.write_text(ONE.text().replace('"n_inliers": 60', '"n_inliers": 0'), encoding="utf-8")
+    with pytest.raises(LibraryError, match=r"n_inliers: Input should be greater"):
+        read_problem(path)
+    with pytest.raises(LibraryError, match="did you mean 'fish-60-noise-03@1'"):
+        find_problem("fish-60-noise-3@1")
+
+
+# --- records -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("problem_id", sorted(KNOWN)[::20])
+def test_stored_poses_have_the_stored_objective(problem_id):
+    problem = KNOWN[problem_id]
+    if not problem.needs_files:
+        assert faulty_poses(problem, RECORDS[problem_id]) == []
+
+
+def test_the_plain_evaluator_agrees_with_the_oracle():
+    source, target = ONE.clouds
+    pose = np.array(RECORDS[ONE.id].best_pose.pose)
+    moved = source @ pose[:2, :2].T + pose[:2, 2]
+    cost = ((moved[:, None] - target) ** 2).sum(axis=2)
+    for k in (60, 41, 7):
+        assert evaluate.plain_objective(source, target, pose, k) == pytest.approx(
+            k_assignment(cost, k), rel=1e-12
+        )
+
+
+def test_a_wrong_objective_and_a_bound_above_it_are_found():
+    pose = RECORDS[ONE.id].best_pose
+    wrong = Record(problem=ONE.id, entries=[pose.model_copy(update={"objective": 0.1})])
+    assert "is stored, but the pose of dcreg" in faulty_poses(ONE, wrong)[0]
+    bound = RECORDS[ONE.id].best_bound.model_copy(update={"lower_bound": 2 * pose.objective})
+    assert (
+        "exceeds the objective"
+        in faulty_poses(ONE, Record(problem=ONE.id, entries=[pose, bound]))[0]
+    )
+
+
+def test_stored_proofs_are_verified_and_a_changed_file_is_found(tmp_path):
+    stored = RECORDS[ONE.id]
+    assert faulty_proof(ONE, stored) == []
+    name = submit.proof_path(ONE.id, stored.certificate.sha256, tmp_path).name
+    shutil.copyfile(PROOFS / name, tmp_path / name)
+    with (tmp_path / name).open("ab") as file:
+        file.write(b"0")
+    assert "is not the file that was accepted" in faulty_proof(ONE, stored, tmp_path)[0]
+    assert len(sampled_proofs(KNOWN)) >= 20
+
+
+def test_all_matchings_agree_with_the_oracle():
+    problem = find_problem("tiny-2d-noisy-1")
+    found = matchings.best_of_all_matchings(problem)
+    oracle = optimal_similarity(*problem.clouds, problem.n_inliers, problem.scale_range)
+    assert found.optimum == pytest.approx(oracle, rel=1e-9)
+    assert RECORDS[problem.id].objective == pytest.approx(oracle, rel=1e-9)
+
+
+def test_tiny_records_are_confirmed_by_all_matchings():
+    for problem in list(KNOWN.values()):
+        if problem.family == "tiny" and problem.n_source * problem.n_target <= 20:
+            found = matchings.best_of_all_matchings(problem)
+            stored = RECORDS[problem.id]
+            assert stored.objective == pytest.approx(found.optimum, rel=1e-6)
+            assert stored.lower_bound <= found.optimum * (1 + 1e-9)
+
+
+# --- submissions ---------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A folder of records with one that is worse than the best known pose, and without a bound."""
+    pose = np.array(ONE.truth.pose)
+    value = evaluate.evaluate(ONE, evaluate.admissible(ONE, pose))
+    first = PoseEntry(**AUTHOR, objective=value, pose=pose.tolist())
+    record.write_record(Record(problem=ONE.id, entries=[first]), tmp_path)
+    return tmp_path
+
+
+def submitted(place, **claims):
+    content = {"format": "dcreg library submission", "problem": ONE.id, **AUTHOR, **claims}
+    path = place / "submission.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return submit.submit(path, place, place / "proofs")
+
+
+def claim(pose, objective=None):
+    given = np.array(pose)
+    value = evaluate.evaluate(ONE, given) if objective is None else objective
+    return {"better_pose": {"pose": given.tolist(), "objective": value}}
+
+
+def test_a_better_pose_is_accepted_once(place):
+    best = RECORDS[ONE.id].best_pose
+    outcome = submitted(place, **claim(best.pose))
+    assert outcome.refused == []
+    assert "pose with objective" in outcome.accepted[0]
+    assert read_record(ONE.id, place).objective == pytest.approx(best.objective, rel=1e-9)
+    assert "is not below the best known one" in submitted(place, **claim(best.pose)).refused[0]
+    assert len(read_record(ONE.id, place).entries) == 2
+
+
+def test_false_poses_are_refused_with_the_reason(place):
+    best = np.array(RECORDS[ONE.id].best_pose.pose)
+    mirrored, shrunk, sheared = best.copy(), best.copy(), best.copy()
+    mirrored[:2, 0] *= -1
+    shrunk[:2, :2] *= 0.3 / np.sqrt(np.linalg.det(best[:2, :2]))
+    sheared[0, 1] += 0.1
+    for pose, objective, reason in (
+        (best, 0.01, "objective: 0.01 stated, but the pose has 0.164"),
+        (mirrored, 0.01, "not a rotation times a scale"),
+        (sheared, 0.01, "not a rotation times a scale"),
+        (shrunk, 0.01, r"its scale is 0.3, outside scale_range"),
+    ):
+        outcome = submitted(place, **claim(pose, objective))
+        assert outcome.accepted == []
+        assert reason in outcome.refused[0]
+    assert len(read_record(ONE.id, place).entries) == 1
+
+
+def bound(place, certificate, lower_bound):
+    dcreg.certificate.write(place / "proof.npz", certificate)
+    return submitted(place, better_bound={"lower_bound": lower_bound, "proof": "proof.npz"})
+
+
+def certificate_of(problem):
+    proof = RECORDS[problem.id].certificate
+    return dcreg.certificate.read(submit.proof_path(problem.id, proof.sha256))
+
+
+def test_a_bound_is_accepted_with_its_proof_only(place):
+    best = RECORDS[ONE.id].lower_bound
+    proof = certificate_of(ONE)
+    assert "stated, but the proof gives" in bound(place, proof, 1.005 * best).refused[0]
+    outcome = bound(place, proof, best)
+    assert outcome.refused == []
+    assert read_record(ONE.id, place).lower_bound == best
+    assert [path.name for path in (place / "proofs").iterdir()] == [
+        submit.proof_path(ONE.id, read_record(ONE.id, place).certificate.sha256).name
+    ]
+    assert "is not above the best proven one" in bound(place, proof, best).refused[0]
+
+
+def test_false_bounds_are_refused_with_the_reason(place):
+    true = certificate_of(ONE)
+    high = 1.5 * true.upper_bound
+    planted = replace(
+        true, lower_bound=high, upper_bound=high,
+        leaf_bounds=np.where(np.isfinite(true.leaf_bounds), high, np.inf),
+    )  # fmt: skip
+    reason = bound(place, planted, high * true.unit**2).refused[0]
+    assert "the checker rejects it" in reason
+    cut = {
+        name: getattr(true, name)[:-1]
+        for name in ("leaf_lower", "leaf_upper", "leaf_bounds", "leaf_reasons")
+    }
+    assert "the checker rejects it" in bound(place, replace(true, **cut), 0.1).refused[0]
+    other = certificate_of(find_problem("fish-60-noise-05"))
+    assert "differs from the cloud" in bound(place, other, 0.1).refused[0]
+    fewer = replace(true, n_inliers=59)
+    assert "it is about model, n_inliers" in bound(place, fewer, 0.1).refused[0]
+    missing = submitted(place, better_bound={"lower_bound": 0.1, "proof": "nothing.npz"})
+    assert "no such file" in missing.refused[0]
+    assert read_record(ONE.id, place).bounds == []
+
+
+def test_a_submission_says_what_is_wrong_with_it(place):
+    with pytest.raises(LibraryError, match="give at least one of them"):
+        submitted(place)
+    with pytest.raises(LibraryError, match=r"better_pose\.objective: Field required"):
+        submitted(place, better_pose={"pose": [[1.0]]})
+
+
+# --- solving and running -------------------------------------------------------------------------
+
+
+def test_solves_are_kept_and_recorded(tmp_path):
+    problem = find_problem("tiny-2d-regular-2")
+    answers, records, proofs = (tmp_path / name for name in ("answers", "records", "proofs"))
+    first = solve(problem, 20.0, answers)
+    assert [answer.status for answer in first] == ["optimal", "optimal"]
+    assert solve(problem, 20.0, answers) == [], "its answers are final"
+    lines = list(record_answers([problem], answers, records, proofs))
+    assert lines[0].startswith(f"{problem.id}: easy, gap ")
+    made = read_record(problem.id, records)
+    assert made.objective == pytest.approx(RECORDS[problem.id].objective, rel=1e-6)
+    assert made.optima.count == RECORDS[problem.id].optima.count
+    assert faulty_proof(problem, made, proofs) == []
+    assert list(record_answers([problem], answers, records, proofs)) == []
+
+
+def answer(pose, **more):
+    return {"status": "optimal", "T_target_source": pose, "time_solve_s": 0.5, **more}
+
+
+def test_verdicts_of_a_method():
+    best = RECORDS[ONE.id].best_pose
+    scope = {"certificate_scope": "similarity pose", "upper_bound": best.objective}
+    far = np.array(best.pose) @ np.diag([-1.0, -1.0, 1.0])
+    low = RECORDS[ONE.id].lower_bound
+    verdicts = {
+        name: judged(ONE, given)
+        for name, given in {
+            "proven": answer(best.pose, lower_bound=low, **scope),
+            "solved": answer(best.pose),
+            "missed": answer(far),
+            "wrong": answer(far, lower_bound=low, **scope),
+            "too high": answer(best.pose, lower_bound=1.1 * best.objective, **scope),
+            "failed": {"status": "failed", "message": "no pose"},
+        }.items()
+    }
+    found = {name: row["verdict"] for name, row in verdicts.items()}
+    assert found == {**{name: name for name in verdicts}, "too high": "wrong"}
+    text = summary("method", pd.DataFrame(list(verdicts.values())), 1.0)
+    assert "solved: 0% in 0.1 s, 0% in 0.3 s, 33% in 1 s" in text
+
+
+def test_a_method_receives_neither_pose_nor_pairs():
+    instance = instance_of(ONE)
+    assert instance.oracle_pairs is None
+    assert instance.matches == {}
+    assert instance.noise_bound > 0.0

@@ -1,0 +1,79 @@
+"""The page of the library in a real browser: opened from a file, without network requests."""
+
+import pytest
+
+from data.library.problem import all_problems
+from reports.library.page import build
+from tests.workflow.test_report_browser import (
+    browser,  # noqa: F401 (a fixture)
+    pytestmark,  # noqa: F401
+    requests,
+    view,
+    wait,
+)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    return build(tmp_path_factory.mktemp("library")).as_uri()
+
+
+@pytest.fixture
+def page(browser, address):  # noqa: F811
+    """The page freshly opened, wide and light; afterwards no error and no request was made."""
+    view(browser, 1400, "light")
+    browser.get_log("performance")
+    browser.get_log("browser")
+    browser.get(address)
+    wait(browser, "document.querySelector('#count').textContent")
+    yield browser
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    assert {url.partition("#")[0] for url in requests(browser)} <= {address}
+
+
+def shown(page):
+    return page.execute_script(
+        "return [...document.querySelectorAll('#problems tbody tr:not([hidden]) th')]"
+        ".map((head) => head.innerText)"
+    )
+
+
+def choose(page, field, value):
+    page.execute_script(
+        "const f = document.querySelector(arguments[0]); f.value = arguments[1];"
+        "f.dispatchEvent(new Event('input', {bubbles: true}))",
+        field, value,
+    )  # fmt: skip
+
+
+def test_filters_and_sorting_change_the_table(page):
+    assert shown(page) == list(all_problems())
+    choose(page, "#f-model", "rigid3d")
+    choose(page, "#f-status", "open")
+    choose(page, "#f-points", "60")
+    choose(page, "#f-overlap", "0.7")
+    some = shown(page)
+    assert 0 < len(some) < len(all_problems())
+    assert all(all_problems()[name].dim == 3 for name in some)
+    page.find_elements("css selector", "#problems thead button")[3].click()
+    pairs = [all_problems()[name].n_inliers for name in shown(page)]
+    assert pairs == sorted(pairs)
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (420, "dark")])
+def test_a_problem_has_a_view_that_fits(page, width, scheme):
+    view(page, width, scheme)
+    choose(page, "#f-text", "pony-60-noise-03")
+    page.find_element("link text", "pony-60-noise-03@1").click()
+    wait(page, "document.querySelector('#one canvas')")
+    assert not page.find_element("css selector", "#all").is_displayed()
+    text = page.find_element("css selector", "#one").text
+    assert "proven lower bound" in text
+    assert "@misc{dcreg-library-pony-60-noise-03" in text
+    pixels = "document.querySelector('#one canvas').toDataURL()"
+    before = page.execute_script(f"return {pixels}")
+    page.find_element("css selector", "#one canvas").send_keys("\ue014")  # arrow to the right
+    assert page.execute_script(f"return {pixels}") != before
+    assert page.execute_script("return document.documentElement.scrollWidth") <= width
+    page.find_element("partial link text", "All problems").click()
+    wait(page, "!document.querySelector('#all').hidden")

@@ -1,0 +1,79 @@
+"""Make, solve and record the library of problems; run other methods on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from workflows.cli import user_errors
+
+app = typer.Typer(help=__doc__, add_completion=False, no_args_is_help=True)
+
+Names = Annotated[
+    list[str] | None, typer.Argument(help="Problems, or beginnings of names; default: all.")
+]
+Limit = Annotated[float, typer.Option(help="Processor time per solve, in seconds.", min=0.1)]
+
+
+@app.command()
+@user_errors
+def generate() -> None:
+    """Write the files of new problems. Existing files never change."""
+    from workflows.library.generate import generate as write_problems
+
+    print(f"{len(write_problems())} problems")
+
+
+@app.command()
+@user_errors
+def solve(names: Names = None, limit: Limit = 10.0) -> None:
+    """Solve problems with and without a certificate; continue where an earlier call ended."""
+    from workflows.library.choose import chosen
+    from workflows.library.solve import solve_all
+
+    solve_all(chosen(names), limit)
+
+
+@app.command()
+@user_errors
+def record(names: Names = None) -> None:
+    """Add the answers of `solve` to the records, after the checks that every submission passes."""
+    from workflows.library.choose import chosen
+    from workflows.library.recording import record_answers
+
+    for line in record_answers(chosen(names)):
+        print(line)
+
+
+@app.command()
+@user_errors
+def prove(
+    name: Annotated[str, typer.Argument(help="NAME or NAME@VERSION.")],
+    out: Annotated[Path, typer.Argument(help="Certificate to write.")],
+    limit: Limit = 60.0,
+) -> None:
+    """Make the proof of a problem again."""
+    from workflows.library.choose import chosen
+    from workflows.library.solve import prove as make_proof
+
+    print(make_proof(chosen([name])[0], out, limit))
+
+
+@app.command()
+@user_errors
+def run(
+    solver: Annotated[str, typer.Argument(help="A method of `make baselines`.")] = "dcreg",
+    names: Names = None,
+    limit: Limit = 10.0,
+) -> None:
+    """Run a method on the problems and print what it solved."""
+    from workflows.library.choose import chosen
+    from workflows.library.running import run_method
+
+    run_method(solver, chosen(names), limit)
+
+
+if __name__ == "__main__":
+    app()

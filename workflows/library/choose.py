@@ -1,0 +1,29 @@
+"""The problems that a command is about."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from data.library.problem import LibraryError, Problem, all_problems
+from dcreg.problem import suggestion
+
+
+def chosen(names: Sequence[str] | None) -> list[Problem]:
+    """Return the problems with these names, or whose names begin so; all by default.
+
+    Raises
+    ------
+    LibraryError
+        If a name fits no problem.
+    """
+    known = all_problems()
+    if not names:
+        return list(known.values())
+    found: dict[str, Problem] = {}
+    for name in names:
+        exact = [key for key in known if name in (key, key.partition("@")[0])]
+        fitting = exact or [key for key in known if key.startswith(name)]
+        if not fitting:
+            raise LibraryError(f"no problem {name!r}{suggestion(name, known)}")
+        found |= {key: known[key] for key in fitting}
+    return list(found.values())
