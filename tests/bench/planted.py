@@ -81,6 +81,7 @@ def outcome(change: str, trial: int, table: pd.DataFrame) -> dict[str, Any]:
     row = {
         "change": change,
         "trial": trial,
+        "repetitions": table["repetition"].nunique(),
         "alarm": any(each.verdict in ("slower", "worse") for each in (*times, *work)),
         "alarm_time": any(each.verdict == "slower" for each in times),
         "alarm_work": any(each.verdict == "worse" for each in work),
