@@ -34,9 +34,11 @@ for (const figure of document.querySelectorAll('[data-figure]')) {
 def pages(tmp_path_factory, made_report):
     """One page of each kind."""
     from reports import claims
+    from reports.history import page
     from reports.ledger.book import ledger
     from reports.ledger.judging import judge
     from tests.unit.claim_fixture import evidence, runs_of
+    from tests.unit.record_fixture import table, write_record
 
     folder = tmp_path_factory.mktemp("pages")
     found = evidence(runs_of("paper"), runs_of("rival"), runs_of("half"))
@@ -45,7 +47,11 @@ def pages(tmp_path_factory, made_report):
     result = made_result(model="rigid3d", T_target_source=np.eye(4), trace=Trace(history))
     plot_registration(cloud, cloud, result, folder / "register.html")
     plot_sweep(made_sweep(), folder / "sweep.html")
+    runs = table(np.random.default_rng(0))
+    write_record(folder / "v1" / "e", runs)
+    write_record(folder / "v2" / "e", runs.assign(n_nodes=runs["n_nodes"] + 1), "2026-01-02")
     return {
+        "history": page.build(folder / "history", folder),
         "report": made_report / "index.html",
         "claims": claims.write(ledger(), judge(ledger(), found), found, folder),
         "register": folder / "register.html",
@@ -65,7 +71,7 @@ def draw(browser) -> None:
             wait_for(browser, f"{plot}.querySelector('.main-svg')")
 
 
-@pytest.mark.parametrize("kind", ["report", "claims", "register", "sweep"])
+@pytest.mark.parametrize("kind", ["report", "claims", "history", "register", "sweep"])
 def test_page_has_no_barrier_and_prints_over_nothing(browser, pages, kind):
     view(browser, *VIEWS[0])
     open_page(browser, pages[kind])
