@@ -82,6 +82,11 @@ evidence: setup
 archive: setup
 	@$(BIN)/python -m reports archive $(if $(VERSION),--version $(VERSION))
 
+## snakemake-report: write Snakemake's own report on the finished experiment CONFIG=…: jobs, times, results
+.PHONY: snakemake-report
+snakemake-report: setup
+	@$(BIN)/python -m workflows snakemake-report $(CONFIG)
+
 ## publish: write all results, configs and the code of own methods to results/published/VERSION.zip, and say how others read it
 .PHONY: publish
 publish: setup
@@ -92,10 +97,10 @@ publish: setup
 report: setup
 	@$(BIN)/python -m reports archived $(ARCHIVE) $(if $(SHA256),--sha256 $(SHA256))
 
-## replay: repeat a stored run, RUN=run_id, and say whether the result is the same (RESULTS=folder of its results)
+## replay: repeat a stored run, RUN=run_id, and compare (RESULTS=folder; BOXES=1: a page with the boxes of its search)
 .PHONY: replay
 replay: setup
-	@$(BIN)/python -m workflows replay $(RUN) $(if $(RESULTS),--results $(RESULTS))
+	@$(BIN)/python -m $(if $(BOXES),reports boxes,workflows replay) $(RUN) $(if $(RESULTS),--results $(RESULTS))
 
 ## plan: print the runs of CONFIG=… and their estimated time without running them
 .PHONY: plan
@@ -107,15 +112,10 @@ plan: setup
 baselines: setup
 	@$(BIN)/python -m workflows baselines
 
-## new-baseline: create a method from the template, NAME=name (IN=folder: outside of the checkout)
+## new-baseline: create a method from the template, NAME=name
 .PHONY: new-baseline
 new-baseline: setup
-	@$(BIN)/python -m workflows new-baseline $(NAME) $(if $(IN),--in $(IN))
-
-## check: check methods against the contract, METHOD=name, folder or package
-.PHONY: check
-check: setup
-	@$(BIN)/python -m baselines.check $(METHOD)
+	@$(BIN)/python -m workflows new-baseline $(NAME)
 
 ## bench: compare the solver with its performance targets, tables in results/bench (QUICK=1: a few seconds)
 .PHONY: bench
@@ -201,30 +201,28 @@ refute: setup
 bad-input: dev
 	@$(BIN)/python -m tests.bad_input
 
-## record: store the small tables of demo and real2d in history/VERSION
+## record: run the experiment regression and record it in reports/history/VERSION (FROM="demo results/x": record these)
 .PHONY: record
 record: setup
-	@$(BIN)/python -m workflows record $(if $(VERSION),--version $(VERSION))
+	@$(if $(FROM),,$(BIN)/python -m workflows run regression --cores $(CORES) --fresh --no-report)
+	@$(BIN)/python -m workflows record $(or $(FROM),regression) $(if $(VERSION),--version $(VERSION))
+	@$(BIN)/python -m reports history
 
-## compare: compare two recorded versions, BASE=… HEAD=… (EXACT=1: two folders of results, run by run)
+## compare: compare recorded versions or results, BASE=… HEAD=… (TIMES=…, JSON=file, TEXT=file; EXACT=1: run by run)
 .PHONY: compare
 compare: setup
-	@$(BIN)/python -m workflows compare $(BASE) $(HEAD) $(if $(EXACT),--exact)
+	@$(BIN)/python -m workflows compare "$(BASE)" "$(HEAD)" $(if $(EXACT),--exact) $(if $(TIMES),--times $(TIMES)) \
+	  $(if $(JSON),--json $(JSON)) $(if $(TEXT),--text $(TEXT))
 
-## library: run a method on the library of problems with proven optima, SOLVER=name (LIMIT=10 seconds; PROBLEMS="tiny fish"); print its table
-.PHONY: library
-library: setup
-	@$(BIN)/python -m workflows.library run $(or $(SOLVER),dcreg) $(PROBLEMS) $(if $(LIMIT),--limit $(LIMIT))
+## timings: compare CPU time and work with an older checkout, solve by solve, OLD=folder; table in results/timings
+.PHONY: timings
+timings: dev
+	@$(BIN)/python -m tests.bench.interleaved $(OLD) results/timings/times.csv
 
-## library-check: check all poses of the library by two evaluators, and a sample of its proofs (ALL=1: every stored proof)
-.PHONY: library-check
-library-check: setup
-	@$(BIN)/python -m data.library check $(if $(ALL),--all)
-
-## library-page: build the page of the library in results/library/page
-.PHONY: library-page
-library-page: setup
-	@$(BIN)/python -m reports library
+## history: draw the history of all recorded versions; prints the path of the page
+.PHONY: history
+history: setup
+	@$(BIN)/python -m reports history
 
 ## lock: remake the lock files with the hashes of their versions (needs a network)
 .PHONY: lock
@@ -276,7 +274,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@workflows/setup.sh $(VENV) $(PYTHON) $(SYSTEM_PACKAGES)
 	@touch $@
 
-## dev: install the tools for tests, style and manual, which `make demo` does not need (done by every target that needs them)
+# Tools for tests, style and manual; `make demo` does not need them.
 .PHONY: dev
 dev: setup $(VENV)/.dev
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from workflows import CHECKOUT
+from workflows import CHECKOUT, HISTORY
 from workflows.cli import Experiment, say, user_errors
 
 app = typer.Typer(
@@ -31,6 +31,32 @@ def experiment(
 
     build(tables, out)
     say(f"report    {out} ({out.stat().st_size / 1e6:.1f} MB)")
+
+
+@app.command()
+@user_errors
+def boxes(
+    run_id: Annotated[str, typer.Argument(help="From column run_id of tables/runs.csv.")],
+    experiment: Annotated[
+        str, typer.Option(help="Config of the run; default: the one recorded with the run.")
+    ] = "",
+    results: Annotated[
+        Path, typer.Option(help="Folder of results to search after the archives.")
+    ] = Path("results"),
+    out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("results/boxes"),
+) -> None:
+    """Repeat a run of DC-Reg, compare it with the stored one, and draw the boxes of its search.
+
+    The exit code is 1 if the results differ.
+    """
+    from reports.boxes import repeat
+    from workflows.replay import DIFFERENT
+
+    page, result = repeat(run_id, experiment, results, out)
+    say(f"stored    {result['stored']}")
+    say(f"boxes     {page}")
+    if result["stored"].startswith(DIFFERENT):
+        raise typer.Exit(1)
 
 
 @app.command()
@@ -191,6 +217,18 @@ def archived(
 
     name = Path(archive).name.removesuffix(".zip")
     say(f"pages     {build(archive, out or Path('results/archive', name), sha256)}")
+
+
+@app.command()
+@user_errors
+def history(
+    out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("results/history"),
+    records: Annotated[Path, typer.Option(help="Folder of the recorded versions.")] = HISTORY,
+) -> None:
+    """Draw all recorded versions, with the steps between them."""
+    from reports.history.page import build
+
+    say(f"history   {build(out, records)}")
 
 
 @app.command()

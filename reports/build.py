@@ -1,29 +1,31 @@
-"""Build the report of an experiment, one self-contained HTML file, from its tables."""
+"""Build the report of an experiment, a folder that needs no network, from its tables."""
 
 from __future__ import annotations
 
-import importlib.resources
 from pathlib import Path
 from typing import Any
 
+from dcreg.plot import packing
 from reports import sections, templating, theme
-from reports.page import Page, pack, pack_json
+from reports.page import Page
 from reports.tables import Tables
 from workflows.discovery import modules
 
 HERE = Path(__file__).parent
-SCRIPTS = ("report.js", "versus.js")  # the first one is needed by the others
+# The first one is needed by the others.
+SCRIPTS, STYLES = ("report.js", "versus.js", "runs.js", "run.js"), ("report.css", "runs.css")
 
 
 def build(tables_dir: Path, out: Path) -> None:
-    """Write the report of the tables in `tables_dir` to `out`, and static figures next to it.
+    """Write the report of the tables in `tables_dir` to `out`, with data and figures next to it.
 
     Parameters
     ----------
     tables_dir : Path
         ``results/<experiment>/tables``.
     out : Path
-        The HTML file; static figures go to ``figures/`` in its folder.
+        The HTML file; ``data/`` in its folder has what the page loads on demand, ``figures/`` the static
+        figures.
 
     Raises
     ------
@@ -37,6 +39,7 @@ def build(tables_dir: Path, out: Path) -> None:
     found = ((part, part.context(page)) for part in order)
     parts = [(part, context) for part, context in found if context is not None]
     out.parent.mkdir(parents=True, exist_ok=True)
+    page.write_data(out.parent)
     out.write_text(_render(page, parts), encoding="utf-8")
 
 
@@ -60,12 +63,13 @@ def _render(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> str:
         }
         for part, context in parts
     ]
-    plotly = importlib.resources.files("plotly") / "package_data" / "plotly.min.js"
     return environment.get_template("page.html").render(
         sections=bodies,
-        css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
+        css="\n".join(map(_asset, STYLES)),
         variables=theme.css_variables(page.styles.values()),
-        script="\n".join((HERE / "assets" / name).read_text(encoding="utf-8") for name in SCRIPTS),
-        plotly=pack(plotly.read_bytes()),
-        data={figure.id: pack_json(figure.payload) for figure in page.figures.values()},
+        script="\n".join([packing.UNPACK.read_text(encoding="utf-8"), *map(_asset, SCRIPTS)]),
     )
+
+
+def _asset(name: str) -> str:
+    return (HERE / "assets" / name).read_text(encoding="utf-8")

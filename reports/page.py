@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
-import gzip
-import json
+import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dcreg.files import plain
+from dcreg.plot import packing
 from reports.figures import printing
 from reports.figures.figure import Figure
 from reports.measured import Measured
@@ -26,18 +25,35 @@ class Download:
     name: str
     description: str
     size: int
-    packed: str
+
+
+MOST_FILES = 100  # of data, next to a page
+DATA = "data"  # their folder
 
 
 @dataclass
 class Page:
-    """One report under construction."""
+    """One report under construction.
+
+    Attributes
+    ----------
+    tables : Tables
+    styles : dict of str to Style
+    folder : Path
+        Where static figures go.
+    figures : dict of str to Figure
+    downloads : dict of str to Download
+    data : dict of str to str
+        Packed content by name. A page loads ``data/NAME.js`` when it needs it, as a script, because a
+        page that is opened from a disk can load nothing else.
+    """
 
     tables: Tables
     styles: dict[str, Style]
-    folder: Path  # where static figures go
+    folder: Path
     figures: dict[str, Figure] = field(default_factory=dict)
     downloads: dict[str, Download] = field(default_factory=dict)
+    data: dict[str, str] = field(default_factory=dict)
 
     @cached_property
     def measured(self) -> Measured:
@@ -62,17 +78,26 @@ class Page:
         ]
 
     def add_download(self, name: str, content: bytes, description: str) -> Download:
-        download = Download(name, description, len(content), pack(content))
+        download = Download(name, description, len(content))
         self.downloads[name] = download
+        self.data[f"file-{name}"] = packing.pack(content)
         return download
 
-
-def pack(content: bytes) -> str:
-    """Compress and encode `content`; the browser undoes it in the page."""
-    return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
+    def write_data(self, folder: Path) -> None:
+        """Write data, figures and plotly.js to ``folder/data``, in place of earlier files."""
+        figures = {f"figure-{name}": pack_json(one.payload) for name, one in self.figures.items()}
+        data = {**self.data, **figures, "plotly": packing.packed_plotly()}
+        names = sorted(data)
+        assert len(names) <= MOST_FILES
+        assert all(re.fullmatch(r"[\w.-]+", name) for name in names)
+        place = folder / DATA
+        place.mkdir(parents=True, exist_ok=True)
+        for path in place.glob("*.js"):
+            path.unlink()
+        for name in names:
+            (place / f"{name}.js").write_text(f'store("{name}", "{data[name]}");\n', "ascii")
 
 
 def pack_json(value: Any) -> str:
     """Pack `value` as JSON with six significant digits."""
-    content = plain(value, digits=6)
-    return pack(json.dumps(content, separators=(",", ":"), ensure_ascii=False).encode("utf-8"))
+    return packing.pack_json(plain(value, digits=6))

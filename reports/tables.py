@@ -17,6 +17,7 @@ from data.contract import RecordedDataset
 from workflows import UserError, records
 from workflows.disturb import DISTURBANCES
 from workflows.outcomes import OUTCOMES
+from workflows.stages.aggregate import REPLAY
 from workflows.studies import REFERENCE
 
 if TYPE_CHECKING:
@@ -101,6 +102,14 @@ class Tables:
         present = list(dict.fromkeys(self.runs["method"]))
         known = [label for label in self.cards if label in present]
         return known + [label for label in present if label not in known]
+
+    @property
+    def replay_command(self) -> str:
+        """The command that repeats a run of these tables, without the run."""
+        recorded = str(self.provenance.get("replay", ""))
+        return (
+            recorded if recorded.startswith(REPLAY) else REPLAY
+        )  # earlier tables name another one
 
     @property
     def experiment(self) -> str:
@@ -196,13 +205,25 @@ def limits_of(card: dict[str, Any]) -> dict[str, str]:
     }
 
 
+def reason(status: str, message: str, card: dict[str, Any]) -> str:
+    """Return why a run ended as it did: the limit that it hit, or its message."""
+    if limit := limits_of(card).get(status):
+        return f"hit its limit of {limit}" + (f" ({message})" if message else "")
+    return message or "no reason given"
+
+
+def case_names(runs: pd.DataFrame) -> pd.Series:
+    """Return the name of the data of each run: its shape, with its dataset if there are several."""
+    if runs["dataset"].nunique() == 1:
+        return runs["shape"]
+    named = runs["dataset"] + " · " + runs["shape"]
+    return named.mask(runs["dataset"] == runs["shape"], runs["shape"])  # not "horse · horse"
+
+
 def row_names(runs: pd.DataFrame, most: int = 4) -> pd.Series:
     """Return the figure row of each run: its shape, or its dataset if there are many shapes."""
-    several = runs["dataset"].nunique() > 1
     crowded = runs.groupby("dataset")["shape"].transform("nunique") > most
-    named = runs["dataset"] + " · " + runs["shape"] if several else runs["shape"]
-    named = named.mask(runs["dataset"] == runs["shape"], runs["shape"])  # not "horse · horse"
-    return named.where(~crowded, runs["dataset"])
+    return case_names(runs).where(~crowded, runs["dataset"])
 
 
 def level_titles(runs: pd.DataFrame) -> dict[str, str]:

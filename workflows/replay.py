@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from baselines import registry
+from baselines.contract import Baseline, Instance, Solution
 from workflows import CHECKOUT, UserError, archives, records
 from workflows.config import Experiment, load, origin, search_next_to
 from workflows.instances import content_digest
@@ -53,21 +55,54 @@ def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -
     UserError
         There is no such run, or the method is not available.
     """
-    stored = _stored(run_id, results)
-    if stored is None and not experiment:
-        raise UserError(
-            f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
-            "tables/runs.csv, name the folder of its results (RESULTS=…), or its experiment with "
-            "--experiment"
+    repetition = Repetition.of(run_id, experiment, results)
+    repetition.method.warm_up(repetition.instance)
+    return repetition.result()
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """A run to repeat: its plan, its instance, its method, and the stored run if there is one."""
+
+    plan: Plan
+    run: PlannedRun
+    instance: Instance
+    method: Baseline
+    stored: Stored | None
+
+    @classmethod
+    def of(cls, run_id: str, experiment: str = "", results: Path = Path("results")) -> Repetition:
+        """Find a run and make its instance again; see `replay`."""
+        stored = _stored(run_id, results)
+        if stored is None and not experiment:
+            raise UserError(
+                f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
+                "tables/runs.csv, name the folder of its results (RESULTS=…), or its experiment with "
+                "--experiment"
+            )
+        plan = _plan(experiment, stored)
+        run = next((run for run in plan.runs() if run.run_id == run_id), None)
+        if run is None:
+            raise UserError(
+                f"experiment {plan.experiment.name}: no run {run_id!r}; take one from column run_id of "
+                "its tables/runs.csv"
+            )
+        instance = instance_of(
+            run.instance,
+            run.method.n_inliers_ratio,
+            plan.experiment.seed,
+            registry.oracle_outliers(run.method.baseline, run.method.options),
+            run.method.n_points,
         )
-    plan = _plan(experiment, stored)
-    run = next((run for run in plan.runs() if run.run_id == run_id), None)
-    if run is None:
-        raise UserError(
-            f"experiment {plan.experiment.name}: no run {run_id!r}; take one from column run_id of its "
-            "tables/runs.csv"
-        )
-    return _repeated(plan, run, stored)
+        method = registry.load(run.method.baseline, **run.method.options)
+        if reason := method.available() or method.supports(instance):
+            raise UserError(f"{run.method.name}: {reason}")
+        return cls(plan, run, instance, method, stored)
+
+    def result(self) -> dict[str, Any]:
+        """Solve the instance again by the warm method and compare; see `replay`."""
+        limits = self.plan.experiment.limits_of(self.run.method).of_run()
+        return _compared(self, self.method.solve(self.instance, limits))
 
 
 def _plan(experiment: str, stored: Stored | None) -> Plan:
@@ -83,19 +118,8 @@ def _plan(experiment: str, stored: Stored | None) -> Plan:
     return expand(settings, None, settings.name, None)
 
 
-def _repeated(plan: Plan, run: PlannedRun, stored: Stored | None) -> dict[str, Any]:
-    instance = instance_of(
-        run.instance,
-        run.method.n_inliers_ratio,
-        plan.experiment.seed,
-        registry.oracle_outliers(run.method.baseline, run.method.options),
-        run.method.n_points,
-    )
-    method = registry.load(run.method.baseline, **run.method.options)
-    if reason := method.available() or method.supports(instance):
-        raise UserError(f"{run.method.name}: {reason}")
-    method.warm_up(instance)
-    solution = method.solve(instance, plan.experiment.limits_of(run.method).of_run())
+def _compared(repetition: Repetition, solution: Solution) -> dict[str, Any]:
+    run, instance, stored = repetition.run, repetition.instance, repetition.stored
     pose = solution.T_target_source
     answer = {
         "status": solution.status,

@@ -165,6 +165,32 @@ def run_snakemake(
     return process.returncode if deadline == float("inf") else INTERRUPTED
 
 
+def snakemake_report(directory: Path, name: str, config: Sequence[str], out: Path) -> None:
+    """Write Snakemake's own report on the finished experiment `name` below `directory`.
+
+    `config` are the arguments of ``--config``. The report is one HTML file; Snakemake has all it needs
+    installed and downloads nothing.
+
+    Raises
+    ------
+    UserError
+        An output is missing.
+    """
+    command = [
+        *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
+        *("--cores", "1", "--quiet", "all", "--nolock", "--directory", str(directory)),
+        *("--report", str(out.resolve())),
+        "--config",
+    ]
+    with (
+        the_only_run(directory, name),
+        NamedTemporaryFile("r", encoding="utf-8") as errors,
+    ):
+        done = subprocess.run([*command, *config, f"errors={errors.name}"], check=False)
+        if done.returncode:
+            raise UserError(f"{errors.read().strip()}\nRun the whole experiment first")
+
+
 def _unexplained(errors: str) -> str:
     """Return Snakemake's messages, unless a stage has already said what the user can correct."""
     has_said_why = "StageError" in errors and f"ended with exit code {USER_ERROR}" in errors

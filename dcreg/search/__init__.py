@@ -12,6 +12,7 @@ from dcreg.search.boxes import (
 )
 from dcreg.search.branch_and_bound import Outcome, Start, branch_and_bound
 from dcreg.search.budget import Budget, Event, Interrupted, Listener
+from dcreg.search.recording import Recorder, recording
 from dcreg.search.space_search import minimise
 from dcreg.search.tolerance import Tolerance, proven_share
 
@@ -28,10 +29,12 @@ __all__ = [
     "Listener",
     "LongestEdge",
     "Outcome",
+    "Recorder",
     "Start",
     "Stored",
     "Tolerance",
     "branch_and_bound",
     "minimise",
     "proven_share",
+    "recording",
 ]

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from dcreg.search import recording
 from dcreg.search.boxes import Bound, Boxes, Confined, Evaluation, Leaves, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted
 from dcreg.search.prospect import (
@@ -224,6 +225,8 @@ class Search:
 
     def narrow(self, confined: Confined) -> None:
         """Continue with only the boxes that meet the `confined` ones, and with a new patience."""
+        if (recorder := recording.active.get()) is not None:
+            recorder.confine(self.stage, confined)
         self.region = confined
         self.pruned_bound = min(self.pruned_bound, confined.outside)
         self.boxes = self.within_region(self.boxes)
@@ -283,6 +286,9 @@ class Search:
             if self.leaves is not None:
                 self.leaves.add(boxes[~keep])
         self.nodes.push(boxes[keep])
+        if (recorder := recording.active.get()) is not None:
+            end = self.lower_bound, self.upper_bound, self.theta
+            recorder.add(self.stage, boxes, keep, end)
 
     def put_back(self, boxes: Boxes) -> None:
         """End the search with boxes that could not be bounded in time."""

@@ -7,27 +7,39 @@ const $$ = (selector, root = document) => [...root.querySelectorAll(selector)];
 const NARROW_PX = 640;
 const hidden = new Set(); // methods switched off
 
-// ---- packed data -------------------------------------------------------------------------------
-
-const bytesOf = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-
-async function unpack(element) {
-  const stream = new Blob([bytesOf(element.textContent)]).stream();
-  return new Response(stream.pipeThrough(new DecompressionStream("gzip"))).text();
-}
+// ---- data next to the page -----------------------------------------------------------------------
 
 const remembered = new Map();
 function once(key, make) {
   if (!remembered.has(key)) remembered.set(key, make());
   return remembered.get(key);
 }
-const payload = (id) => once(id, async () => JSON.parse(await unpack($(`#data-${CSS.escape(id)}`))));
-const plotly = () => once("plotly", async () => {
+
+// A page that is opened from a disk can load scripts, and nothing else. Each calls `store`.
+const delivered = new Map();
+function store(name, text) { delivered.set(name, text); }
+
+const stored = (name) => once(`data ${name}`, async () => {
   const script = document.createElement("script");
-  script.textContent = await unpack($("#plotly-packed"));
-  document.head.append(script);
-  return window.Plotly;
+  script.src = `data/${name}.js`;
+  await new Promise((resolve, reject) => {
+    script.onload = resolve;
+    script.onerror = () => reject(new Error(`data/${name}.js cannot be loaded`));
+    document.head.append(script);
+  });
+  const text = delivered.get(name);
+  delivered.delete(name);
+  script.remove();
+  return text;
 });
+
+function tellMissing(error) {
+  $("#missing").hidden = false;
+  $("#missing").textContent = `${error.message}: keep the folder data/ next to this page.`;
+}
+
+const payload = (id) => once(`figure ${id}`, async () => unpacked(await stored(`figure-${id}`)).json());
+const plotly = () => once("plotly", async () => loadPlotly(await stored("plotly")));
 
 // ---- colours -----------------------------------------------------------------------------------
 
@@ -96,7 +108,7 @@ const builders = {
 // One draw at a time per figure: a later one waits, and sees the latest choices.
 const queue = new Map();
 function draw(element) {
-  const next = (queue.get(element) ?? Promise.resolve()).then(() => drawNow(element));
+  const next = (queue.get(element) ?? Promise.resolve()).then(() => drawNow(element)).catch(tellMissing);
   queue.set(element, next);
   return next;
 }
@@ -122,7 +134,14 @@ async function drawNow(element) {
     modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"],
     toImageButtonOptions: { format: "svg", filename: id },
   });
+  if (!element.dataset.drawn) element.on("plotly_click", openRun);
   element.dataset.drawn = String(Number(element.dataset.drawn ?? 0) + 1);
+}
+
+// A point of a run, or a trace of one, opens the view of this run.
+function openRun({ points: [point] }) {
+  const run = point.customdata ?? point.data.meta.run;
+  if (run) location.hash = `run=${run}`;
 }
 
 // Plain numbers at 1, 2, 5 or at powers of ten, depending on how much the axis spans.
@@ -146,7 +165,7 @@ function labelLogAxes(layout, traces, most) {
 
 function logTicks(low, high, most) {
   const decades = Math.log10(high / low);
-  const digits = decades < 1.5 ? [1, 2, 5] : decades < 3 ? [1, 3] : [1];
+  const digits = decades < 0.8 ? [1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9] : decades < 1.5 ? [1, 2, 5] : decades < 3 ? [1, 3] : [1];
   const stride = Math.ceil(decades / most) || 1;
   const ticks = [];
   for (let power = Math.floor(Math.log10(low)) - 1; power <= Math.log10(high) + 1; power += 1) {
@@ -198,8 +217,19 @@ function chosenInstance(data) {
   const inLevel = inCase.filter((item) => String(item.level) === pick("level").value);
   fill(pick("trial"), inLevel.map((item) => item.trial));
   const instance = inLevel.find((item) => String(item.trial) === pick("trial").value);
-  fill(pick("stage"), instance.runs.flatMap((run) => Object.keys(run.stages)));
+  fillStages(instance);
   return instance;
+}
+
+// Opens on the stage that bounds most boxes, as stages of initial poses bound none.
+function fillStages({ runs }) {
+  const boxes = new Map();
+  for (const run of runs) {
+    for (const [stage, { nodes }] of Object.entries(run.stages)) boxes.set(stage, Math.max(boxes.get(stage) ?? 0, ...nodes));
+  }
+  const isNew = !pick("stage").options.length;
+  fill(pick("stage"), [...boxes.keys()]);
+  if (isNew) pick("stage").value = [...boxes].reduce((best, one) => (one[1] > best[1] ? one : best))[0];
 }
 
 function choose(data, instance) {
@@ -232,7 +262,7 @@ function runTraces(run, stage, work) {
     // with markers, as a search may end at its first event
     const line = (y, axis, what, symbol = run.symbol, width = 2) => ({
       x, y, xaxis: `x${axis}`, yaxis: `y${axis}`, mode: "lines+markers", name: nameOf(run.method),
-      line: { shape: "hv", dash: run.dash, width }, marker: { size: 7, symbol, maxdisplayed: 12 }, meta: { method: run.method, role: what },
+      line: { shape: "hv", dash: run.dash, width }, marker: { size: 7, symbol, maxdisplayed: 12 }, meta: { method: run.method, role: what, run: run.run },
       hovertemplate: `<b>${nameOf(run.method)}</b> ${what}<br>%{y:.5g} at %{x:.4g}<br>${run.run}<extra></extra>`,
     });
     const flat = (value, axis, what, method) => ({
@@ -251,7 +281,12 @@ function runTraces(run, stage, work) {
 function tellRuns(instance, stage) {
   const text = (tag, content) => Object.assign(document.createElement(tag), { textContent: content });
   const head = document.createElement("tr");
-  head.append(...["method", "status", "scope of the bounds", "lower bound", "upper bound", "gap", "tolerance", "nodes", "run"].map((title) => text("th", title)));
+  head.append(...["method", "status of the run", "scope of the bounds", "lower bound", "upper bound", "gap", "tolerance", "nodes", "run"].map((title) => text("th", title)));
+  const linked = (run) => {
+    const cell = document.createElement("td");
+    cell.append(Object.assign(document.createElement("a"), { href: `#run=${run}`, textContent: run }));
+    return cell;
+  };
   const rows = instance.runs.filter((run) => run.stages[stage]).map((run) => {
     const { lower, upper, nodes } = run.stages[stage];
     const [low, high] = [lower.at(-1), upper.at(-1)];
@@ -261,7 +296,7 @@ function tellRuns(instance, stage) {
     const name = text("th", nameOf(run.method));
     name.prepend($(`[data-toggle-method="${CSS.escape(run.method)}"] .dot`).cloneNode(true));
     row.append(name, text("td", run.status), text("td", run.scope || "–"),
-      ...[low, high, high - low, run.gap_tol, nodes.at(-1)].map((value) => text("td", short(value))), text("td", run.run));
+      ...[low, high, high - low, run.gap_tol, nodes.at(-1)].map((value) => text("td", short(value))), linked(run.run));
     return row;
   });
   const table = document.createElement("table");
@@ -288,15 +323,15 @@ const flatten = (points) => (points[0]?.length === 3
 const move = (points, T) => points.map((p) =>
   p.map((_, i) => p.reduce((sum, value, j) => sum + T[i][j] * value, T[i][p.length])));
 
-function cloudsOf(data, item, when) {
-  const source = data.clouds[item.source], target = data.clouds[item.target];
-  if (when === "before") return [source, target];
-  return [item.pose ? move(source, item.pose) : [], target];
-}
-
 async function drawThumbnail(canvas) {
-  const data = await payload("overlays");
-  const [source, target] = cloudsOf(data, data.cases[canvas.dataset.case], canvas.dataset.when).map(flatten);
+  const found = await recordOf(canvas.dataset.run).catch(tellMissing);
+  if (!found?.clouds) {
+    canvas.replaceWith("not drawn: the tables hold no clouds");
+    return;
+  }
+  const { clouds, record } = found;
+  const source = flatten(canvas.dataset.when === "before" ? clouds.source : record.pose ? move(clouds.source, record.pose) : []);
+  const target = flatten(clouds.target);
   const size = canvas.clientWidth * devicePixelRatio;
   canvas.width = canvas.height = size;
   const pen = canvas.getContext("2d");
@@ -322,71 +357,7 @@ async function drawThumbnail(canvas) {
   for (const [x, y] of source.map(place)) { pen.beginPath(); pen.arc(x, y, r, 0, 7); pen.stroke(); }
   canvas.dataset.drawn = "1";
 }
-$$("canvas[data-case]").forEach((canvas) => seen.observe(canvas));
-
-async function enlarge(index) {
-  const [library, data] = await Promise.all([plotly(), payload("overlays")]);
-  const item = data.cases[index], dialog = $("#overlay");
-  $("#overlay-title").textContent = `${item.name}: ${item.title}`;
-  $("#overlay-facts").textContent = `${item.shape}${item.test === "pair" ? "" : `, level ${item.level}, trial ${item.trial}`} · RMSE ${item.rmse} · ${item.status} · run ${item.run}`;
-  const replay = $(".replay", dialog);
-  replay.hidden = !item.replay;
-  $("code", replay).textContent = item.replay;
-  dialog.showModal();
-  const plot = $("#overlay-plot");
-  const stacked = plot.clientWidth < NARROW_PX;
-  const traces = ["before", "after"].flatMap((when, panel) => overlayTraces(data, item, when, panel + 1));
-  await library.newPlot(plot, traces, { ...themed(overlayLayout(item.dim, stacked)), width: plot.clientWidth }, { displaylogo: false, displayModeBar: !stacked });
-  plot.dataset.drawn = "1";
-}
-
-function overlayTraces(data, item, when, panel) {
-  const flat = item.dim === 2;
-  const names = ["source", "target"];
-  return cloudsOf(data, item, when).map((points, i) => ({
-    type: flat ? "scatter" : "scatter3d", mode: "markers", name: names[i], legendgroup: names[i], showlegend: panel === 1,
-    x: points.map((p) => p[0]), y: points.map((p) => p[1]),
-    ...(flat ? { xaxis: `x${panel}`, yaxis: `y${panel}` } : { z: points.map((p) => p[2]), scene: `scene${panel === 1 ? "" : panel}` }),
-    marker: flat
-      ? { symbol: i ? "cross-thin-open" : "circle-open", size: 7, color: color(`--${names[i]}`) }
-      : { symbol: i ? "cross" : "circle-open", size: i ? 3 : 4, color: color(`--${names[i]}`) },
-    hoverinfo: "name",
-  }));
-}
-
-function overlayLayout(dim, stacked) {
-  const domains = stacked
-    ? [{ x: [0, 1], y: [0.54, 0.98] }, { x: [0, 1], y: [0, 0.44] }]
-    : [{ x: [0, 0.48], y: [0, 0.96] }, { x: [0.52, 1], y: [0, 0.96] }];
-  const layout = {
-    height: stacked ? 640 : Math.min(540, innerHeight * 0.65), margin: { l: 36, r: 8, t: 30, b: 30 },
-    showlegend: true, legend: { orientation: "h", x: 0.5, xanchor: "center", y: 1.02, yanchor: "bottom" },
-    annotations: ["before", "after"].map((text, i) => ({
-      text, xref: "paper", yref: "paper", x: domains[i].x[0], y: domains[i].y[1], yanchor: "bottom", xanchor: "left", showarrow: false,
-    })),
-  };
-  domains.forEach((domain, i) => {
-    if (dim === 2) {
-      layout[`xaxis${i + 1}`] = { domain: domain.x, anchor: `y${i + 1}` };
-      layout[`yaxis${i + 1}`] = { domain: domain.y, anchor: `x${i + 1}`, scaleanchor: `x${i + 1}` };
-    } else {
-      const axis = { title: { text: "" }, gridcolor: color("--grid"), color: color("--quiet"), showbackground: false };
-      layout[i ? "scene2" : "scene"] = { domain, aspectmode: "data", xaxis: axis, yaxis: axis, zaxis: axis };
-    }
-  });
-  return layout;
-}
-
-$$(".view").forEach((button) => button.addEventListener("click", () => enlarge(button.dataset.case)));
-$("#overlay")?.addEventListener("close", async () => {
-  (await plotly()).purge($("#overlay-plot"));
-  delete $("#overlay-plot").dataset.drawn;
-});
-$(".copy")?.addEventListener("click", async (event) => {
-  await navigator.clipboard.writeText($(".replay code").textContent);
-  event.target.textContent = "copied";
-  setTimeout(() => { event.target.textContent = "copy"; }, 1500);
-});
+$$("canvas[data-run]").forEach((canvas) => seen.observe(canvas));
 
 // ---- switches ----------------------------------------------------------------------------------
 
@@ -399,7 +370,10 @@ const chips = $$("[data-toggle-method]");
 function showMethods() {
   for (const chip of chips) chip.setAttribute("aria-pressed", String(!hidden.has(chip.dataset.toggleMethod)));
   $("#shown-methods").textContent = `${variableOf.size - hidden.size} of ${variableOf.size}`;
+  $("#hidden-note").hidden = !hidden.size;
+  for (const item of $$("main [data-method]")) item.hidden = hidden.has(item.dataset.method);
   $$("[data-filters]").forEach(filter);
+  document.dispatchEvent(new Event("methods-changed"));
   redraw();
 }
 chips.forEach((chip) => chip.addEventListener("click", () => {
@@ -418,6 +392,7 @@ const root = document.documentElement;
 const repaint = () => {
   redraw();
   $$("canvas[data-drawn]").forEach(drawThumbnail);
+  document.dispatchEvent(new Event("repaint"));
 };
 $("#theme").addEventListener("click", () => {
   const now = root.dataset.theme ?? (dark.matches ? "dark" : "light");
@@ -495,10 +470,7 @@ $$("table.stack").forEach(titleCells);
 
 const MIME = { csv: "text/csv", json: "application/json", svg: "image/svg+xml", pdf: "application/pdf" };
 
-async function contentOf(name) {
-  const packed = new Blob([bytesOf($(`[data-file="${CSS.escape(name)}"]`).textContent)]).stream();
-  return new Response(packed.pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
-}
+const contentOf = async (name) => unpacked(await stored(`file-${name}`)).arrayBuffer();
 $$("[data-save]").forEach((button) => button.addEventListener("click", async () => {
   const name = button.dataset.save;
   const blob = new Blob([await contentOf(name)], { type: MIME[name.split(".").pop()] });
@@ -508,6 +480,10 @@ $$("[data-save]").forEach((button) => button.addEventListener("click", async () 
 }));
 
 // ---- where we are ------------------------------------------------------------------------------
+
+new ResizeObserver(([{ target }]) => {
+  if (!$(".methods").open) root.style.setProperty("--top", `${target.offsetHeight}px`);
+}).observe($(".top"));
 
 const links = new Map($$("nav a").map((link) => [link.hash.slice(1), link]));
 const here = new IntersectionObserver((entries) => {

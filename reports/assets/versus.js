@@ -47,6 +47,7 @@ function scatter({ both, labels, runs: [a, b] }, name, axis) {
       return {
         ...axes, x: points.map((i) => a[name][i]), y: points.map((i) => b[name][i]), mode: "markers",
         marker: { size: 7, opacity: 0.8, symbol: symbol ?? symbolOf(method) }, meta: { role, method },
+        customdata: points.map((i) => a.run[i]), // a click opens the run of A
         text: points.map((i) => `${test[i]}, ${shape[i]}, level ${level[i]}, trial ${trial[i]}`),
         hovertemplate: `%{text}<br>A %{x:.3g}, B %{y:.3g}<br>${role}<extra></extra>`,
       };

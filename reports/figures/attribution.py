@@ -80,7 +80,8 @@ def build(runs: pd.DataFrame, styles: dict[str, Style]) -> Figure:
                 {
                     "x": list(regret), "y": list(part["rmse"].clip(lower=1e-8)),
                     "xaxis": axes[0], "yaxis": axes[1], "mode": "markers", "name": style.name,
-                    "text": text, "hovertemplate": "%{text}<br>RMSE %{y:.3g}<extra></extra>",
+                    "text": text, "customdata": list(part["run_id"]),
+                    "hovertemplate": "%{text}<br>RMSE %{y:.3g}<extra></extra>",
                     "marker": {"symbol": style.symbol, "size": 7, "opacity": 0.75},
                     "meta": {"role": "runs", "method": method},
                 }

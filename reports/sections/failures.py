@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from reports.page import Page
-from reports.tables import limits_of
+from reports.tables import reason as reason_of
 from reports.theme import words
 from workflows.outcomes import OUTCOMES
 
@@ -35,7 +35,7 @@ def context(page: Page) -> dict[str, Any]:
                 "outcome": outcome,
                 "method": method,
                 "status": status,
-                "reason": _reason(
+                "reason": reason_of(
                     str(status), str(message), page.tables.cards.get(str(method), {})
                 ),
                 "count": len(part),
@@ -50,22 +50,9 @@ def context(page: Page) -> dict[str, Any]:
         "groups": groups,
         "count": len(rest),
         "planned": len(runs),
-        "replay": _prefix(page.tables.provenance.get("replay", "")),
     }
 
 
 def _without_numbers(messages: pd.Series) -> dict[str, str]:
     """Return each message without its numbers, by which runs share a row: boxes differ in every run."""
     return {message: _NUMBER.sub("…", message) for message in messages.unique()}
-
-
-def _reason(status: str, message: str, card: dict[str, Any]) -> str:
-    """Return why runs did not finish: the limit that they hit, or their message."""
-    if limit := limits_of(card).get(status):
-        return f"hit its limit of {limit}" + (f" ({message})" if message else "")
-    return message or "no reason given"
-
-
-def _prefix(command: str) -> str:
-    """Return a command with what separates it from the run: nothing after ``RUN=``."""
-    return command if command.endswith("=") or not command else f"{command} "

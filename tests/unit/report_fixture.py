@@ -14,6 +14,7 @@ import pandas as pd
 from dcreg.search import proven_share
 from workflows import attribution, outcomes, records
 from workflows.stages.aggregate import accounting
+from workflows.stages.clouds import CLOUDS
 
 CARDS = {
     "dcreg-full": ("DC-Reg", "port", "similarity pose", "#0072b2", "o"),
@@ -59,6 +60,9 @@ def write_tables(folder: Path, experiment: str = "made-up", cases: Sequence[tupl
     accounting(table).to_csv(folder / "accounting.csv", index=False)
     (folder / "provenance.json").write_text(json.dumps(_provenance()))
     (folder / "overlays.json").write_text(json.dumps(_overlays(table)))
+    once = table.drop_duplicates("instance_id")
+    clouds = [_clouds(run) for run in once.to_dict("records")]
+    pd.DataFrame(clouds).to_parquet(folder / CLOUDS)
     return folder
 
 
@@ -162,7 +166,7 @@ def _provenance():
         "git": {"commit": "0" * 40, "dirty": True},
         "created": "2026-01-01T00:00:00Z",
         "commands": ["python -m workflows run made-up"],
-        "replay": "python -m workflows replay --experiment made-up",
+        "replay": "make replay RUN=",
         "methods": {
             label: {
                 "display_name": name, "summary": "A made-up method.", "provenance": origin,
@@ -192,6 +196,17 @@ def _overlays(runs):
     return chosen
 
 
+def _clouds(run):
+    overlay = _overlay(run | {"rmse": 0.0}, "")
+    return {
+        "instance_id": run["instance_id"],
+        "dim": run["dim"],
+        "source": np.ravel(overlay["source"]),
+        "target": np.ravel(overlay["target"]),
+        "pairs": np.repeat(np.arange(98), 2),
+    }
+
+
 def _overlay(run, rank):
     draw = np.random.default_rng(zlib.crc32(run["instance_id"].encode()))
     d, t = int(run["dim"]), np.linspace(0, 2 * np.pi, 98)
@@ -208,5 +223,4 @@ def _overlay(run, rank):
         "level": float(run["level"]), "trial": int(run["trial"]), "rank": rank,
         "rmse": float(run["rmse"]), "source": curve.round(4).tolist(),
         "target": target.round(4).tolist(), "T_target_source": pose.round(6).tolist(),
-        "replay": f"python -m workflows replay --experiment made-up {run['run_id']}",
     }  # fmt: skip

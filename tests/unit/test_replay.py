@@ -75,6 +75,18 @@ def test_the_stored_run_decides(run, change, said):
     assert stored(folder, {**row, **change}).startswith(said)
 
 
+def test_the_config_recorded_with_the_run_is_used(run):
+    folder, run_id, row = run
+    path = folder / "mine" / "tables" / "provenance.json"
+    path.parent.mkdir(parents=True)
+    settings = config.load(row["experiment"]).model_dump()
+    path.write_text(json.dumps({"config": settings}))
+    assert stored(folder, {**row, "experiment": "mine"}) == SAME
+    path.write_text(json.dumps({"config": {**settings, "limits": {"time_s": 3.0}}}))
+    with pytest.raises(UserError, match=f"no run '{run_id}'"):
+        stored(folder, row)
+
+
 def test_a_difference_has_its_own_exit_code(run):
     folder, run_id, row = run
     stored(folder, {**row, "n_assignments": 10_000.0})

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import dataclasses
-import gzip
 import itertools
 import json
 import re
@@ -16,15 +14,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from plotly.offline import get_plotlyjs
+from scipy.stats import binomtest
 
 from baselines import registry
+from dcreg.plot import packing
 from reports import page as pages
-from reports import standing, theme
+from reports import paired, standing, theme
 from reports.build import build
 from reports.figures import attribution, levels, printing, profile, standalone
 from reports.figures.figure import Figure
 from reports.ledger.judging import ledger
+from reports.pairs import pair_rows
 from reports.sections import figures, outcome
+from reports.sections import levels as levels_section
 from reports.sections.parameters import parameters
 from reports.tables import PENALTY, ReportError, Tables, counted_time, row_names, thin_trace
 from tests.unit import report_fixture
@@ -84,24 +87,23 @@ def small(tmp_path_factory) -> tuple[Path, str]:
 
 
 class Page(HTMLParser):
-    """Everything in the page that could cause a request, and its packed files."""
+    """Everything in the page that could cause a request."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.links: list[str] = []
-        self.files: dict[str, bytes] = {}
-        self._file: str | None = None
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
-        values = dict(attrs)
         self.links += [v for k, v in attrs if k in ("src", "href", "srcset", "data") and v]
-        self._file = values.get("data-file")
 
-    def handle_data(self, data):
-        if self._file:
-            self.files[self._file] = gzip.decompress(base64.b64decode(data))
-            self._file = None
+
+def data_of(report: Path, name: str) -> bytes:
+    """The content of a file of data next to a page."""
+    text = (report / "data" / f"{name}.js").read_text(encoding="ascii")
+    stated, packed = re.fullmatch(r'store\("(.*)", "(.*)"\);\n', text).groups()
+    assert stated == name
+    return packing.unpack(packed)
 
 
 def broken(folder: Path, tmp_path: Path, edit) -> Path:
@@ -112,17 +114,27 @@ def broken(folder: Path, tmp_path: Path, edit) -> Path:
     return tmp_path
 
 
-def test_page_is_one_small_file_that_asks_for_nothing(html):
-    assert len(html) < 4_000_000
+def test_page_is_small_and_asks_for_nothing_but_the_files_next_to_it(html):
+    assert len(html) < 2_500_000
     assert all(link.startswith("#") for link in Page(html).links)
     assert "default-src 'none'" in html
     assert not re.search(r"url\(|@import", html.split("<body>")[0])
 
 
-def test_page_holds_the_very_tables(html, folder):
-    files = Page(html).files
+def test_the_very_tables_are_next_to_the_page(made_report, folder):
     for name in ("runs.csv", "traces.csv", "accounting.csv", "provenance.json"):
-        assert files[name] == (folder / name).read_bytes()
+        assert data_of(made_report, f"file-{name}") == (folder / name).read_bytes()
+    assert data_of(made_report, "plotly") == get_plotlyjs().encode()
+
+
+def test_a_new_page_replaces_the_data_of_an_earlier_one(small, tmp_path):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "old.js").write_text("")
+    page = pages.Page(Tables.load(small[0]), {}, tmp_path)
+    page.add_download("a.csv", b"1", "one")
+    page.write_data(tmp_path)
+    names = {path.stem for path in (tmp_path / "data").iterdir()}
+    assert names == {"file-a.csv", "plotly"}
 
 
 def test_page_shows_the_accounting(html, tables):
@@ -137,11 +149,10 @@ def test_messages_are_escaped(html):
     assert "<b>segfault</b>" not in html
 
 
-def test_print_figures_are_next_to_the_page_and_in_it(html, made_report):
-    files = Page(html).files
+def test_print_figures_are_files_and_downloads(made_report):
     for name in ("levels-similarity2d.svg", "levels-rigid3d-mean.pdf"):
-        assert files[name] == (made_report / "figures" / name).read_bytes()
-    assert b"<svg" in files["levels-similarity2d.svg"]
+        assert data_of(made_report, f"file-{name}") == (made_report / "figures" / name).read_bytes()
+    assert b"<svg" in data_of(made_report, "file-levels-similarity2d.svg")
 
 
 def test_same_tables_give_the_same_page(small, tmp_path):
@@ -373,6 +384,40 @@ def test_the_outcome_names_the_best_methods(tables, styles):
         assert all(styles[name].name in second for name in matrix.standing("tied"))
 
 
+def test_two_methods_are_compared_on_the_instances_that_both_attempted(tables):
+    both = next(each for each in paired.comparisons(tables) if each["model"] == "rigid3d")
+    a, b = (both["methods"].index(name) for name in ("dcreg-full", "fgr"))
+    runs = attempted(tables.runs[tables.runs["model"] == "rigid3d"])
+    right = runs.pivot(index="instance_id", columns="method", values="success").astype(bool)
+    one, other = right["dcreg-full"], right["fgr"]
+    won, lost = int((one & ~other).sum()), int((~one & other).sum())
+    assert won > lost
+    p_value = binomtest(won, won + lost).pvalue
+    assert both["counts"]["right"][a][b] == [won, len(right) - won - lost, lost, p_value]
+    assert both["counts"]["right"][b][a] == [lost, len(right) - won - lost, won, p_value]
+    # a run without a pose has the worst RMSE, and times count where both are right
+    failed = int(runs[runs["method"] == "fgr"]["rmse"].isna().sum())
+    assert failed
+    assert both["counts"]["rmse"][a][b][0] >= failed
+    assert sum(both["counts"]["time"][a][b][:3]) == int((one & other).sum())
+    assert both["runs"][b]["right"] == list(right["fgr"][pd.unique(runs["instance_id"])])
+
+
+def test_own_pairs_have_a_row_per_method_the_best_first(tables):
+    own = dataclasses.replace(tables, runs=tables.runs.assign(test="pair"))
+    rows = pair_rows(own)
+    assert len(rows) == len(attempted(tables.runs))
+    assert {row["verdict"] for row in rows} == {"right", "wrong", "no pose"}
+    assert {row["certificate"] for row in rows} >= {"", "optimal: similarity pose"}
+    for _, pair in itertools.groupby(rows, lambda row: (row["model"], row["shape"])):
+        ranked = [(row["verdict"] != "right", row["rmse"]) for row in pair]
+        known = [each for each in ranked if each[1] == each[1]]
+        assert known == sorted(known)
+    page = pages.Page(own, {}, Path())
+    assert levels_section.context(page) is None
+    assert pair_rows(tables) == []
+
+
 def test_curves_over_time_end_at_the_success_rate(tables, styles):
     runs = attempted(tables.runs[tables.runs["model"] == "rigid3d"])
     figure = profile.build(tables, styles, "rigid3d")
@@ -430,11 +475,11 @@ def test_ledger_is_on_the_first_page_of_its_experiment(small):
     assert "<code>low-3d</code>" not in page
 
 
-def test_a_run_at_its_limit_shows_the_limit_and_its_replay(html):
+def test_a_run_at_its_limit_shows_the_limit_and_leads_to_its_view(html):
     text = html.split('id="unfinished"')[1].split("</table>")[0]
     assert "hit its limit of 10 s (made-up bound)" in text
     assert "–" not in re.findall(r'class="reason">([^<]*)', text)
-    assert "python -m workflows replay --experiment made-up" in text
+    assert re.search(r'href="#run=[0-9a-f]{8}"', text)
 
 
 def test_the_page_shows_the_limit_that_a_run_hit(small):
@@ -588,7 +633,7 @@ def test_formats(text, expected):
 
 def test_packed_numbers_are_valid_json():
     packed = pages.pack_json({"a": [float("nan"), float("inf"), np.float64(1 / 3), np.int64(2)]})
-    assert json.loads(gzip.decompress(base64.b64decode(packed))) == {"a": [None, None, 0.333333, 2]}
+    assert json.loads(packing.unpack(packed)) == {"a": [None, None, 0.333333, 2]}
 
 
 def test_a_figure_is_one_file_that_is_found(small, tmp_path, monkeypatch):

@@ -20,12 +20,14 @@ from workflows.integrity import sealed_file
 from workflows.labels import display_names
 from workflows.metrics import METRICS
 from workflows.outcomes import OUTCOMES
+from workflows.stages.clouds import CLOUDS, clouds
 from workflows.stages.plan import Plan, plan_table
 
 if TYPE_CHECKING:
     import polars as pl
 
 MAX_OVERLAY_POINTS = 400  # per set
+REPLAY = "make replay"  # of the Makefile
 MOST_CSV_ROWS = 200_000  # of a CSV copy
 # Facts about an instance in the row of a run.
 OF_INSTANCE = [
@@ -59,6 +61,7 @@ def aggregate(plan: Plan, folder: Path) -> None:
         accounting(runs).to_csv(part, index=False)
     _write_json(out / "provenance.json", _provenance(plan, runs))
     _write_json(out / "overlays.json", overlays(plan, folder, runs))
+    records.write(clouds(plan, folder), out / CLOUDS)
 
 
 def join_runs(plan: Plan, folder: Path) -> pl.LazyFrame:
@@ -219,7 +222,6 @@ def overlays(plan: Plan, folder: Path, runs: pd.DataFrame) -> list[dict[str, Any
             **{key: run[key] for key in ("level", "trial", "rmse", "status", "model", "rank")},
             **clouds[run["instance_id"]],
             "T_target_source": json.loads(poses[run["run_id"]]),
-            "replay": replay_command(run["run_id"]),
         }
         for run in chosen.to_dict("records")
     ]
@@ -244,17 +246,12 @@ def run_command(plan: Plan) -> str:
     return " ".join(["python -m workflows run", shlex.quote(plan.config), *parts])
 
 
-def replay_command(run_id: str) -> str:
-    """Return the command line that repeats this run."""
-    return f"{replay_of()}{run_id}"
-
-
 def replay_of() -> str:
     """Return the command line that repeats a run of this folder of results, without the run."""
     here = Path.cwd()
     if here == CHECKOUT:
-        return "make replay RUN="
-    return f"make replay RESULTS={shlex.quote(os.path.relpath(here / 'results', CHECKOUT))} RUN="
+        return f"{REPLAY} RUN="
+    return f"{REPLAY} RESULTS={shlex.quote(os.path.relpath(here / 'results', CHECKOUT))} RUN="
 
 
 def _points(points: np.ndarray) -> list[list[float]]:

@@ -1,0 +1,179 @@
+"use strict";
+// The table of runs: filters and sorting over columns; at most 100 rows are in the document.
+
+const ROWS = 100, CARDS = 12;
+const runsTable = () => once("runs", async () => {
+  const { words, values, names, replay } = await unpacked(await stored("runs")).json();
+  const text = (name) => values[name].map((code) => words[name][code]);
+  const cases = text("case");
+  return {
+    words, values, names, replay, count: values.run.length,
+    searched: values.run.map((run, at) => `${cases[at]} ${run}`.toLowerCase()),
+    at: new Map(values.run.map((run, at) => [run, at])),
+    word: (name, at) => words[name][values[name][at]],
+  };
+});
+
+// title, and how a value is shown; words are those of the columns
+const COLUMNS = {
+  run: ["run"], method: ["method"], model: ["model"], case: ["data"], test: ["test"], level: ["level", short], trial: ["trial", short],
+  answer: ["verdict"], status: ["status"], rmse: ["RMSE", short], rotation: ["rotation error (°)", short],
+  time: ["time (s)", short], nodes: ["nodes", short],
+};
+const order = { column: "run", descending: false, chosen: false };
+const listing = { rows: [], page: 0 };
+
+function selected(data) {
+  const controlled = (kind) => $$(`#runs-filter [data-${kind}]`).filter((control) => control.value !== "");
+  const { values, words } = data, notRun = words.answer.indexOf("not run");
+  const tests = controlled("choice").map(({ dataset, value }) => {
+    const column = values[dataset.choice], wanted = Number(value);
+    return value === "started" ? (at) => column[at] !== notRun : (at) => column[at] === wanted;
+  });
+  // a missing error counts as infinite
+  for (const { dataset, value } of controlled("least")) tests.push((at) => (values[dataset.least][at] ?? Infinity) >= Number(value));
+  for (const { dataset, value } of controlled("most")) tests.push((at) => (values[dataset.most][at] ?? Infinity) <= Number(value));
+  const asked = $("#runs-filter [data-words]").value.toLowerCase().split(/\s+/).filter(Boolean);
+  if (asked.length) tests.push((at) => asked.every((word) => data.searched[at].includes(word)));
+  const off = words.method.map((method) => hidden.has(method));
+  if (hidden.size) tests.push((at) => !off[values.method[at]]);
+  const rows = [];
+  for (let at = 0; at < data.count; at += 1) if (tests.every((test) => test(at))) rows.push(at);
+  return order.chosen ? rows.sort(comparison(data)) : rows;
+}
+
+function comparison({ words, values }) {
+  const column = values[order.column], sign = order.descending ? -1 : 1;
+  const places = words[order.column] && [...words[order.column].keys()].sort((a, b) => words[order.column][a].localeCompare(words[order.column][b]));
+  const rank = places && places.reduce((ranks, code, place) => { ranks[code] = place; return ranks; }, []);
+  const key = rank ? (at) => rank[column[at]] : (at) => column[at];
+  return (a, b) => {
+    const [one, other] = [key(a), key(b)];
+    if (one === null || other === null) return (one === null) - (other === null) || a - b; // missing last
+    return sign * (one < other ? -1 : one > other ? 1 : 0) || a - b;
+  };
+}
+
+const shownColumns = (data) => Object.keys(COLUMNS).filter((name) => name !== "model" || data.words.model.length > 1);
+
+async function listRuns(page = 0) {
+  const data = await runsTable();
+  const began = performance.now();
+  listing.rows = selected(data);
+  listing.page = Math.max(0, Math.min(page, Math.ceil(listing.rows.length / ROWS) - 1));
+  const first = listing.page * ROWS, part = listing.rows.slice(first, first + ROWS);
+  const body = $("#runs-table").tBodies[0];
+  body.replaceChildren(...part.map((at) => rowOf(data, at)));
+  const whole = (count) => count.toLocaleString("en").replaceAll(",", "\u202f");
+  $("#runs-count").textContent = part.length
+    ? `${whole(first + 1)}–${whole(first + part.length)} of ${whole(listing.rows.length)} runs` : "no run fits";
+  $$("[data-page]").forEach((button) => { button.disabled = Number(button.dataset.page) < 0 ? !first : first + ROWS >= listing.rows.length; });
+  $("#runs-table").dataset.took = String(performance.now() - began);
+}
+
+function rowOf(data, at) {
+  const row = document.createElement("tr");
+  const method = data.words.method[data.values.method[at]];
+  row.dataset.method = method;
+  for (const name of shownColumns(data)) {
+    const [title, format] = COLUMNS[name];
+    const cell = document.createElement(name === "run" ? "th" : "td");
+    if (name !== "run") cell.dataset.title = title;
+    if (format) cell.className = "n";
+    if (name === "run") {
+      cell.scope = "row";
+      cell.append(linkTo(data.values.run[at]));
+    } else if (name === "method") cell.append(dotOf(method), data.names[data.values.method[at]]);
+    else if (name === "answer") cell.append(badgeOf(data.word("answer", at)));
+    else cell.textContent = format ? format(data.values[name][at]) : data.word(name, at).replaceAll("_", " ");
+    row.append(cell);
+  }
+  return row;
+}
+
+const linkTo = (run) => Object.assign(document.createElement("a"), { href: `#run=${run}`, textContent: run });
+const dot = (method) => once(`dot ${method}`, () => $(`[data-toggle-method="${CSS.escape(method)}"] .dot`));
+const dotOf = (method) => dot(method).cloneNode(true);
+const badgeOf = (answer) => Object.assign(document.createElement("span"), { className: `answer-${answer.replaceAll(" ", "-")}`, textContent: answer });
+
+async function headRuns() {
+  const data = await runsTable();
+  const heads = shownColumns(data).map((name) => {
+    const head = Object.assign(document.createElement("th"), { scope: "col", className: COLUMNS[name][1] ? "n" : "" });
+    const button = Object.assign(document.createElement("button"), { type: "button", textContent: COLUMNS[name][0] });
+    button.addEventListener("click", () => sortRuns(name));
+    head.dataset.column = name;
+    head.append(button);
+    return head;
+  });
+  $("#runs-table").tHead.rows[0].replaceChildren(...heads);
+  $("#runs-order").replaceChildren(...shownColumns(data).map((name) => new Option(COLUMNS[name][0], name)));
+  await listRuns();
+}
+
+function sortRuns(name) {
+  order.descending = order.chosen && order.column === name && !order.descending;
+  Object.assign(order, { column: name, chosen: true });
+  $$("#runs-table thead th").forEach((head) => head.removeAttribute("aria-sort"));
+  $(`#runs-table [data-column="${name}"]`).setAttribute("aria-sort", order.descending ? "descending" : "ascending");
+  listRuns();
+}
+
+// ---- wrong runs --------------------------------------------------------------------------------
+
+const wrongShown = { count: CARDS };
+
+async function listWrong() {
+  const data = await runsTable();
+  const method = data.words.method.indexOf($("#wrong-method").value);
+  const wrong = new Set(["wrong", "no pose"].map((answer) => data.words.answer.indexOf(answer)));
+  const rows = [];
+  for (let at = 0; at < data.count; at += 1) if (data.values.method[at] === method && wrong.has(data.values.answer[at])) rows.push(at);
+  rows.sort((a, b) => (data.values.rmse[b] ?? Infinity) - (data.values.rmse[a] ?? Infinity) || a - b);
+  const part = rows.slice(0, wrongShown.count);
+  $("#wrong-cards").replaceChildren(...part.map((at) => cardOf(data, at)));
+  $("#wrong-count").textContent = `${part.length} of ${rows.length}, the largest error first`;
+  $("#wrong-more").hidden = part.length === rows.length;
+}
+
+function cardOf(data, at) {
+  const run = data.values.run[at], card = document.createElement("article");
+  card.className = "card";
+  const link = Object.assign(document.createElement("a"), { className: "view", href: `#run=${run}` });
+  for (const when of ["before", "after"]) {
+    const canvas = document.createElement("canvas"), holder = document.createElement("span");
+    Object.assign(canvas.dataset, { run, when });
+    holder.append(canvas, when);
+    link.append(holder);
+    seen.observe(canvas);
+  }
+  const text = document.createElement("p");
+  text.append(`${titleOf(data, at)}; ${data.word("answer", at)}, RMSE ${short(data.values.rmse[at])}, ${data.word("status", at)}`);
+  card.append(link, text);
+  return card;
+}
+
+// Own pairs of clouds have one level and one trial, which say nothing.
+function titleOf(data, at) {
+  const { values } = data, test = data.word("test", at).replaceAll("_", " ");
+  const parts = [data.word("case", at)];
+  if (test !== "pair") parts.push(`${test} ${short(values.level[at])}`, `trial ${values.trial[at]}`);
+  return parts.join(", ");
+}
+
+// ---- when --------------------------------------------------------------------------------------
+
+const runsInView = new IntersectionObserver((entries) => {
+  if (!entries.some((entry) => entry.isIntersecting)) return;
+  runsInView.disconnect();
+  headRuns().catch(tellMissing);
+  if ($("#wrong-method")) listWrong().catch(tellMissing);
+}, { rootMargin: "600px" });
+runsInView.observe($("#runs"));
+
+$("#runs-filter").addEventListener("input", () => listRuns());
+$$("[data-page]").forEach((button) => button.addEventListener("click", () => listRuns(listing.page + Number(button.dataset.page))));
+$("#runs-order").addEventListener("change", ({ target }) => sortRuns(target.value));
+$("#wrong-method")?.addEventListener("change", () => { wrongShown.count = CARDS; listWrong(); });
+$("#wrong-more")?.addEventListener("click", () => { wrongShown.count += CARDS; listWrong(); });
+document.addEventListener("methods-changed", () => { if (listing.rows.length || $("#runs-table").tBodies[0].rows.length) listRuns(); });

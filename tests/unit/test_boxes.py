@@ -1,0 +1,55 @@
+"""The boxes of a search are recorded without changing it, and drawn as slices."""
+
+import numpy as np
+import pytest
+
+from dcreg import register
+from dcreg.search import recording
+from reports import boxes
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    rng = np.random.default_rng(2)
+    source = rng.random((8, 2))
+    target = 1.1 * source[:, ::-1] + 0.05 * rng.random((8, 2))
+    solve = {"n_inliers": 7, "model": "similarity2d"}
+    expected = register(source, target, **solve)
+    with recording() as recorder:
+        found = register(source, target, **solve)
+    assert recorder.is_complete
+    assert (found.n_nodes, found.lower_bound) == (expected.n_nodes, expected.lower_bound)
+    return found, recorder
+
+
+def test_every_bounded_box_is_recorded(recorded):
+    found, recorder = recorded
+    (stage,) = recorder.stages.values()
+    assert recorder.n_boxes == found.n_nodes
+    assert stage.ends[-1][0] <= stage.ends[-1][1]
+    assert [end[1] for end in stage.ends] == sorted((end[1] for end in stage.ends), reverse=True)
+
+
+def test_the_leaf_boxes_of_a_slice_cover_it(recorded):
+    _, recorder = recorded
+    ((name, stage),) = recorder.stages.items()
+    shown = boxes.stage_of(name, stage, "similarity2d")
+    assert len(shown["slices"]) == 6
+    first = shown["slices"][0]
+    assert first["axes"] == ["s cos α", "s sin α"]
+    left, right, low, high = (np.array(side) for side in first["boxes"])
+    root = (right - left) * (high - low)
+    pruned = ~np.array(first["open"], bool)  # a finished search has pruned or divided every box
+    assert root[pruned].sum() == pytest.approx(root[0])
+    assert (np.diff(first["order"]) > 0).all()
+    at = first["at"]
+    inside = (left <= at[0]) & (at[0] <= right) & (low <= at[1]) & (at[1] <= high)
+    assert inside[pruned].any()
+
+
+def test_nothing_is_recorded_outside_the_context(recorded):
+    _, recorder = recorded
+    count = recorder.n_boxes
+    points = np.random.default_rng(4).random((6, 2))
+    register(points, points, n_inliers=6, model="similarity2d")
+    assert recorder.n_boxes == count
