@@ -211,12 +211,12 @@ def test_snakemakes_own_report_has_captions_and_needs_no_network(checkout):
         name.removeprefix("results/tiny/"): result for name, result in shown("results").items()
     }
     assert set(tables) == {
-        "report/index.html", "tables/runs.parquet", "tables/accounting.csv",
+        "report", "tables/runs.parquet", "tables/accounting.csv",
         "tables/provenance.json",
     }  # fmt: skip
     assert all(result["caption"] and result["labels"]["content"] for result in tables.values())
-    assert tables["report/index.html"]["labels"]["experiment"] == "tiny"
-    page = path.parent / tables["report/index.html"]["data_uri"]
+    assert tables["report"]["labels"]["experiment"] == "tiny"
+    page = path.parent / tables["report"]["data_uri"]
     assert (page.parent / "data").is_dir()
     assert page.read_text() == (checkout.root / "results/tiny/report/index.html").read_text()
     assert set(shown("categories")) == {
