@@ -15,7 +15,7 @@ report: "workflows/captions/workflow.rst"  # of `snakemake --report`, see workfl
 
 rule all:
     input:
-        f"{VIEW}/report",
+        f"{VIEW}/report/index.html",
 
 include: "workflows/rules/plan.smk"
 include: "workflows/rules/fetch.smk"

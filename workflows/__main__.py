@@ -151,7 +151,9 @@ def snakemake_report(
     name = plan.experiment.name
     if Path(experiment).is_file():
         experiment = str(Path(experiment).resolve())
-    say(f"report    {write(directory, name, [f'experiment={experiment}'])}")
+    out = directory / "results" / name / "snakemake-report.html"
+    write(directory, name, [f"experiment={experiment}"], out)
+    say(f"report    {out} ({out.stat().st_size / 1e6:.1f} MB)")
 
 
 @app.command()

@@ -165,34 +165,30 @@ def run_snakemake(
     return process.returncode if deadline == float("inf") else INTERRUPTED
 
 
-def snakemake_report(directory: Path, name: str, config: Sequence[str]) -> Path:
-    """Write Snakemake's own report on the finished experiment `name` below `directory`; return its page.
+def snakemake_report(directory: Path, name: str, config: Sequence[str], out: Path) -> None:
+    """Write Snakemake's own report on the finished experiment `name` below `directory`.
 
-    `config` are the arguments of ``--config``. Snakemake downloads nothing for it.
+    `config` are the arguments of ``--config``. The report is one HTML file; Snakemake has all it needs
+    installed and downloads nothing.
 
     Raises
     ------
     UserError
         An output is missing.
     """
-    folder = directory.resolve() / "results" / name / "snakemake-report"
-    packed = folder.with_suffix(".zip")
     command = [
         *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
         *("--cores", "1", "--quiet", "all", "--nolock", "--directory", str(directory)),
-        *("--report", str(packed), "--config", *config),
+        *("--report", str(out.resolve())),
+        "--config",
     ]
     with (
         the_only_run(directory, name),
         NamedTemporaryFile("r", encoding="utf-8") as errors,
     ):
-        done = subprocess.run([*command, f"errors={errors.name}"], check=False)
+        done = subprocess.run([*command, *config, f"errors={errors.name}"], check=False)
         if done.returncode:
             raise UserError(f"{errors.read().strip()}\nRun the whole experiment first")
-    shutil.rmtree(folder, ignore_errors=True)
-    shutil.unpack_archive(packed, folder.parent)
-    packed.unlink()
-    return folder / "report.html"
 
 
 def _unexplained(errors: str) -> str:

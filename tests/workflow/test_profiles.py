@@ -359,7 +359,7 @@ def test_container_has_all_sources_of_an_experiment(recipe, tmp_path):
         cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert "results/demo/report" in done.stdout + done.stderr
+    assert "results/demo/report/index.html" in done.stdout + done.stderr
 
 
 # --- make test-slurm ----------------------------------------------------------------------------

@@ -98,12 +98,12 @@ def solve_fingerprint(wildcards):
 
 
 # An output as a result in Snakemake's own report: `make snakemake-report`.
-def shown(path, caption, category, content, index=None):
+def shown(path, caption, category, content):
     labels = {"experiment": EXPERIMENT.name, "part": Path(VIEW).name, "content": content}
     if VIEW == OUT:
         del labels["part"]
     caption = str(Path(workflow.basedir) / "workflows" / "captions" / f"{caption}.rst")
-    return report(path, caption=caption, category=category, labels=labels, htmlindex=index)
+    return report(path, caption=caption, category=category, labels=labels)
 
 
 wildcard_constraints:
