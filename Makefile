@@ -82,6 +82,16 @@ evidence: setup
 archive: setup
 	@$(BIN)/python -m reports archive $(if $(VERSION),--version $(VERSION))
 
+## snakemake-report: write Snakemake's own report on the finished experiment CONFIG=…: jobs, times, results
+.PHONY: snakemake-report
+snakemake-report: setup
+	@$(BIN)/python -m workflows snakemake-report $(CONFIG)
+
+## publish: write all results, configs and the code of own methods to results/published/VERSION.zip, and say how others read it
+.PHONY: publish
+publish: setup
+	@$(BIN)/python -m reports archive --publish --version $(or $(VERSION),mine)
+
 ## report: build all pages from an archive without a run, ARCHIVE=version|folder|zip file|address (SHA256=… of a zip file)
 .PHONY: report
 report: setup
@@ -196,15 +206,28 @@ refute: setup
 bad-input: dev
 	@$(BIN)/python -m tests.bad_input
 
-## record: store the small tables of demo and real2d in history/VERSION
+## record: run the experiment regression and record it in reports/history/VERSION (FROM="demo results/x": record these)
 .PHONY: record
 record: setup
-	@$(BIN)/python -m workflows record $(if $(VERSION),--version $(VERSION))
+	@$(if $(FROM),,$(BIN)/python -m workflows run regression --cores $(CORES) --fresh --no-report)
+	@$(BIN)/python -m workflows record $(or $(FROM),regression) $(if $(VERSION),--version $(VERSION))
+	@$(BIN)/python -m reports history
 
-## compare: compare two recorded versions, BASE=… HEAD=… (EXACT=1: two folders of results, run by run)
+## compare: compare recorded versions or results, BASE=… HEAD=… (TIMES=…, JSON=file, TEXT=file; EXACT=1: run by run)
 .PHONY: compare
 compare: setup
-	@$(BIN)/python -m workflows compare $(BASE) $(HEAD) $(if $(EXACT),--exact)
+	@$(BIN)/python -m workflows compare "$(BASE)" "$(HEAD)" $(if $(EXACT),--exact) $(if $(TIMES),--times $(TIMES)) \
+	  $(if $(JSON),--json $(JSON)) $(if $(TEXT),--text $(TEXT))
+
+## timings: compare CPU time and work with an older checkout, solve by solve, OLD=folder; table in results/timings
+.PHONY: timings
+timings: dev
+	@$(BIN)/python -m tests.bench.interleaved $(OLD) results/timings/times.csv
+
+## history: draw the history of all recorded versions; prints the path of the page
+.PHONY: history
+history: setup
+	@$(BIN)/python -m reports history
 
 ## library: run a method on the library of problems with proven optima, SOLVER=name (LIMIT=10 seconds; PROBLEMS="tiny fish"); print its table
 .PHONY: library
@@ -248,6 +271,13 @@ lint: dev
 docs: dev
 	@$(BIN)/python -m sphinx -q -W -b html docs results/docs
 	@echo "results/docs/index.html"
+
+## wheel: build the wheel of the library in results/dist; the same commit gives the same bytes
+.PHONY: wheel
+wheel: setup
+	@SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m pip wheel --quiet --no-deps \
+	  --disable-pip-version-check --no-build-isolation --wheel-dir results/dist .
+	@sha256sum results/dist/dcreg-*.whl
 
 ## floors: run the library's tests with the oldest packages that pyproject.toml allows
 .PHONY: floors

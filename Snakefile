@@ -11,6 +11,8 @@ min_version("9.6")
 
 include: "workflows/rules/common.smk"
 
+report: "workflows/captions/workflow.rst"  # of `snakemake --report`, see workflows/rules/common.smk
+
 rule all:
     input:
         f"{VIEW}/report/index.html",

@@ -117,7 +117,7 @@ class Card(BaseModel):
     # family; own: a new method, by its own author.
     provenance: Literal["official", "library", "port", "reconstruction", "own"]
     # Language and origin of the code that takes the time; reports state it next to times.
-    language: str = Field(min_length=1)
+    language: str = Field(default="Python", min_length=1)
     input: str = "raw point sets"  # e.g. "FPFH correspondences"
     provides_bounds: bool = False
     certifies: str = "nothing"  # scope of the certificate

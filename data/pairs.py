@@ -51,7 +51,7 @@ class CloudPairs(RecordedDataset):
         if isinstance(card.dim, dict):
             raise DataError(f"{self.where}: dim: {card.dim!r}; give 2 or 3, the same for all pairs")
         self.parameters = parameters_of(card, PairParameters)
-        self.folder = card.folder / Path(self.parameters.folder).expanduser()
+        self.folder = (card.folder / Path(self.parameters.folder).expanduser()).resolve()
 
     def shapes(self) -> list[str]:
         if not self.folder.is_dir():

@@ -13,11 +13,16 @@ from .io.g2o import PoseEdge, write_pose_graph
 from .io.moved import write_moved
 from .names import bound_names, mode_names
 from .plot import plot_answer, plot_registration, plot_sweep
-from .problem import Candidates, InputError, OpenDirection, PointWeights, PoseRange, Problem
+from .problem.errors import InputError
+from .problem.pose_range import PoseRange
+from .problem.problem import Candidates, Problem
+from .problem.uncertainty import OpenDirection
+from .problem.weights import PointWeights
 from .questions.alternatives import Alternative, Alternatives, alternatives
 from .questions.certify import Certified, certify
 from .questions.inliers import MaxInliers, max_inliers
-from .result import ChosenNumber, Result, RunnerUp, Stage, Trace
+from .result import Result
+from .result_parts import ChosenNumber, RunnerUp, Stage, Trace
 from .search import Event, Listener
 from .status import Status
 from .sweep_result import SweepResult

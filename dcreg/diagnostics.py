@@ -38,6 +38,8 @@ _ROUGH = 1.01  # objective divided by upper bound; a larger ratio is more than r
 _CLOSE = 1.5  # objective ratio of the runner-up; lower for 45 of 45 wrong and 18 of 135 right poses
 _LOOSE = 2.0  # RMSE in point spacings of the target; lower for one object and the right n_inliers
 _FEW_PAIRS = 20  # more pairs hardly fit by chance, except on surfaces
+_MORE_PAIRS = "Match more pairs (n_inliers), of distinct points"
+_NO_NUMBER = "No other n_inliers helps"
 _REMEDY = (
     "Use downsample=200 (--downsample 200): it searches with a sample of the points and refines the "
     "pose on all points"
@@ -99,6 +101,11 @@ class Case:
     problem: Problem
     result: Result
     in_norm_space: bool
+
+    @cached_property
+    def undetermined(self) -> str | None:
+        """The warning of `undetermined`, which makes others meaningless."""
+        return _undetermined(self)
 
     @cached_property
     def lowest_rmse(self) -> float:
@@ -185,12 +192,11 @@ def rough_pairs(case: Case) -> str | None:
 
 def distant_pairs(case: Case) -> str | None:
     """Some pairs of large clouds connect distant points, so that better ones may exist."""
-    result, lowest = case.result, case.result.n_inliers * case.lowest_rmse**2
-    if (
-        result.is_greedy
-        or result.objective <= _VAGUE * lowest
-        or _is_rounding(result.objective, case)
-    ):
+    result = case.result
+    if result.is_greedy or _is_rounding(result.objective, case):
+        return None
+    lowest = result.n_inliers * case.lowest_rmse**2
+    if result.objective <= _VAGUE * lowest:
         return None
     return (
         f"the pairs cost {result.objective:.3g}, and any pairs at this pose at least {lowest:.3g}: some "
@@ -203,6 +209,8 @@ def scale_at_limit(case: Case) -> str | None:
     """The scale is at the limit of its range."""
     low, high = case.problem.scale_range
     scale = case.result.scale
+    if case.undetermined is not None:  # any scale fits as well
+        return None
     if low == high or not (scale <= low * (1.0 + 1e-6) or scale >= high * (1.0 - 1e-6)):
         return None
     return (
@@ -213,21 +221,35 @@ def scale_at_limit(case: Case) -> str | None:
 
 def undetermined(case: Case) -> str | None:
     """Several poses fit the pairs equally well."""
-    matched = case.problem.source[case.result.assignment[:, 0]]
-    spread = np.linalg.svd(matched - matched.mean(axis=0), compute_uv=False)
-    spread = np.append(spread, np.zeros(case.problem.dim))
-    extent = max(rms_radius(case.problem.source), rms_radius(case.problem.target))
-    if spread[case.problem.dim - 2] > 1e-9 * extent > 0.0:
+    return case.undetermined
+
+
+def _undetermined(case: Case) -> str | None:
+    k, clouds = case.result.n_inliers, (case.problem.source, case.problem.target)
+    if k == 1:
+        is_all = min(map(len, clouds)) == 1
+        return f"one pair does not determine the pose. {_NO_NUMBER if is_all else _MORE_PAIRS}"
+    extent = max(map(rms_radius, clouds))
+    for name, points, rows in zip(
+        ("source", "target"), clouds, case.result.assignment.T, strict=True
+    ):
+        shape = _shape(points[rows], extent)
+        if shape is None:
+            continue
+        is_all = k == min(map(len, clouds)) or _shape(points, extent) is not None
+        remedy = _NO_NUMBER if is_all else _MORE_PAIRS
+        return f"the {k} matched {name} points {shape} and do not determine the pose. {remedy}"
+    return None
+
+
+def _shape(points: np.ndarray, extent: float) -> str | None:
+    """Return why points cannot determine a pose, in words; None if they can."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    spread = np.append(spread, np.zeros(points.shape[1]))
+    smallest = 1e-9 * extent
+    if spread[points.shape[1] - 2] > smallest > 0.0:
         return None
-    k = case.result.n_inliers
-    is_point = case.problem.dim == 2 or spread[0] <= 1e-9 * extent
-    where = "coincide" if is_point else "lie on one line"
-    what = "one pair does" if k == 1 else f"the {k} matched source points {where} and do"
-    is_all = k == min(len(case.problem.source), len(case.problem.target))
-    remedy = (
-        "No other n_inliers helps" if is_all else "Match more pairs (n_inliers), of distinct points"
-    )
-    return f"{what} not determine the pose. {remedy}"
+    return "coincide" if points.shape[1] == 2 or spread[0] <= smallest else "lie on one line"
 
 
 def other_size(case: Case) -> str | None:
@@ -294,10 +316,12 @@ def loose_pairs(case: Case) -> str | None:
     scales, or too few pairs.
     """
     problem, result = case.problem, case.result
+    if _was_cut_short(result):
+        return None
     spacing, rmse = median_spacing(problem.target), case.lowest_rmse
     if rmse <= _LOOSE * spacing or spacing == 0.0:
         return None
-    if _was_cut_short(result) or scale_at_limit(case) or other_size(case) or few_pairs(case):
+    if scale_at_limit(case) or other_size(case) or few_pairs(case):
         return None
     return (
         f"at this pose, the RMS residual of the pairs is at least {rmse:.3g}, but the point spacing of "
@@ -319,7 +343,7 @@ def _was_cut_short(result: Result) -> bool:
 def ambiguous(case: Case) -> str | None:
     """Another pose fits nearly as well."""
     other = case.result.runner_up
-    if other is None or other.objective_ratio >= _CLOSE:
+    if other is None or other.objective_ratio >= _CLOSE or case.undetermined is not None:
         return None
     percent = 100.0 * (other.objective_ratio - 1.0)
     more = f"only {percent:.2g} % higher" if percent >= 0.1 else "no higher"

@@ -231,12 +231,15 @@ class ChosenNumber:
         The numbers from `low` to `high` fit nearly as well.
     runner_up : int, optional
         This number of pairs fits nearly as well at a clearly different pose.
+    is_cut : bool
+        Whether the time limit ended the comparison before all poses and numbers were compared.
     """
 
     compared: list[ComparedNumber]
     low: int
     high: int
     runner_up: int | None = None
+    is_cut: bool = False
 
     def __str__(self) -> str:
         if not self.compared:
@@ -245,7 +248,8 @@ class ChosenNumber:
         shown = ", ".join(f"{k}: {rms:.3g}" for k, rms in self.compared[::-step][::-1])
         is_clear = self.low == self.high
         near = "no other number fits" if is_clear else f"{self.low} to {self.high} pairs fit"
-        return f"{near} nearly as well\nRMS residual by number of pairs: {shown}"
+        cut = "; the time limit ended the comparison" * self.is_cut
+        return f"{near} nearly as well{cut}\nRMS residual by number of pairs: {shown}"
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from dcreg.problem import (
     Problem,
     angle_between_deg,
     exact_objective,
-    rms_radius,
+    unit_length,
 )
 from dcreg.result import RunnerUp
 
@@ -39,7 +39,9 @@ def find_runner_up(
         Final poses of local searches, in the coordinates of the clouds.
     """
     source, target, k = problem.source, problem.target, problem.n_inliers
-    radius, rounding = rms_radius(target), exact_objective(source, target, k)
+    radius, rounding = unit_length(source, target), exact_objective(source, target, k)
+    if radius == 0.0:  # all points of each cloud coincide, and poses differ by rounding
+        return None
     moments = Moments.of(source)
     minimum = DISTINCT * radius
     # a nearer one counts if it is as good: a repeated part, shifted by one period

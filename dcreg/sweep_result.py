@@ -24,6 +24,7 @@ _NUMBER = re.compile(r"\d+(\.\d+)?(e[+-]?\d+)?")
 _FRACTION_POWER = 3
 # A residual below this fraction of the tolerance counts as rounding.
 _ROUNDING = 1e-3
+_NO_VALUE = "-"  # in the table
 
 
 @dataclass(frozen=True, repr=False)
@@ -139,8 +140,8 @@ class SweepResult:
                 f"{row['upper_bound']:.5g}",
                 "exact fit" if result.is_exact else text.percent(row["bound_ratio"]),
                 f"{row['rms_lower']:.4g} to {row['rms']:.4g}",
-                "" if row["marginal_cost"] is None else f"{row['marginal_cost']:.4g}",
-                "" if row["proven_by"] is None else f"k={row['proven_by']}",
+                _NO_VALUE if row["marginal_cost"] is None else f"{row['marginal_cost']:.4g}",
+                _NO_VALUE if row["proven_by"] is None else f"k={row['proven_by']}",
                 *([] if flat else [f"{row['rmse_matched']:.4g}"]),
                 str(row["n_nodes"]),
                 f"{row['time_s']:.2f} s",

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from workflows import CHECKOUT
+from workflows import CHECKOUT, HISTORY
 from workflows.cli import Experiment, say, user_errors
 
 app = typer.Typer(
@@ -168,19 +168,37 @@ def evidence(
 def archive(
     results: Folders = None,
     version: Annotated[str, typer.Option(help="Name; default: the version of dcreg.")] = "",
+    publish: Annotated[
+        bool,
+        typer.Option("--publish", help="Write a zip file to results/published instead."),
+    ] = False,
 ) -> None:
-    """Write all results to reports/archive/VERSION, which ships with the repository."""
+    """Write all results to reports/archive/VERSION, which ships with the repository.
+
+    An archive also holds the configs and the code of one's own methods and datasets.
+    """
     from dcreg import __version__
     from reports.archive import crate, read
     from reports.archive.write import write
     from workflows.archives import ARCHIVES
 
     name = version or __version__
-    folder = write(results or [Path("results")], ARCHIVES / name, name)
+    place = Path("results", "published") if publish else ARCHIVES
+    folder = write(results or [Path("results")], place / name, name)
     read.check(folder)
     crate.check(folder)
     size = sum(path.stat().st_size for path in folder.rglob("*"))
     say(f"archive   {folder} ({size / 1e6:.1f} MB)")
+    if publish:
+        from reports.archive.write import pack
+        from workflows.integrity import digest
+
+        path = pack(folder)
+        print(
+            f"publish   {path}\n"
+            "          upload it where files keep their address, and state this command with it:\n"
+            f"          make report ARCHIVE=<address> SHA256={digest(path)}"
+        )
 
 
 @app.command()
@@ -199,6 +217,18 @@ def archived(
 
     name = Path(archive).name.removesuffix(".zip")
     say(f"pages     {build(archive, out or Path('results/archive', name), sha256)}")
+
+
+@app.command()
+@user_errors
+def history(
+    out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("results/history"),
+    records: Annotated[Path, typer.Option(help="Folder of the recorded versions.")] = HISTORY,
+) -> None:
+    """Draw all recorded versions, with the steps between them."""
+    from reports.history.page import build
+
+    say(f"history   {build(out, records)}")
 
 
 @app.command()

@@ -12,7 +12,7 @@ import hypothesis
 import numpy as np
 import pytest
 
-from tests import clocks
+from tests import browsing, clocks
 
 hypothesis.settings.register_profile(
     "fixed", derandomize=True, deadline=None, max_examples=int(os.environ.get("EXAMPLES", "60"))
@@ -29,9 +29,14 @@ LONGEST = (
 )  # fmt: skip
 # Files whose tests share nothing that is expensive to make: any worker may take a part of them.
 SPREAD = ("unit/test_compiling.py", "fuzz/test_fuzz.py")
-# A file shares the worker of another one whose fixture it uses.
+# A file shares the worker of another one whose fixtures it uses.
 WITH = dict.fromkeys(
-    ("unit/test_report.py", "unit/test_runs.py", "workflow/test_runs_browser.py"),
+    (
+        "unit/test_report.py",
+        "unit/test_runs.py",
+        "workflow/test_runs_browser.py",
+        "workflow/test_accessibility.py",
+    ),
     "workflow/test_report_browser.py",
 )
 
@@ -82,6 +87,14 @@ def made_report(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("report")
     build(write_tables(folder / "tables"), folder / "index.html")
     return folder
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    """One headless browser for all tests of pages."""
+    driver = browsing.start(tmp_path_factory.mktemp("profile"))
+    yield driver
+    driver.quit()
 
 
 @pytest.fixture

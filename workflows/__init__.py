@@ -3,6 +3,7 @@
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[1]
+HISTORY = CHECKOUT / "reports" / "history"  # of recorded versions
 
 
 class UserError(ValueError):

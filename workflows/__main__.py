@@ -17,7 +17,7 @@ import typer
 
 from dcreg.problem import suggestion
 from dcreg.status import Status
-from workflows import CHECKOUT, UserError, merge
+from workflows import CHECKOUT, HISTORY, UserError, merge
 from workflows.cli import Experiment, Folder, say, stop, user_errors
 from workflows.stages import commands
 from workflows.stages.commands import planned
@@ -84,6 +84,8 @@ def run(
         raise UserError(f"--cores {cores}: give a positive number, or all")
     from workflows.live import View
     from workflows.running import INTERRUPTED, cores_of_job, find_profile, run_snakemake
+    from workflows.stages.plan import size_notes
+    from workflows.stand_ins import fetchable
 
     profiles = [find_profile(each) for each in profile or ()]
     needs: list[str] = []
@@ -93,10 +95,10 @@ def run(
         path, select = _store_needs(experiment, methods.split(","), directory), []
         needs = [f"needs={path.resolve()}"]
         plan = planned(experiment, select, path)
-    else:
+    elif dry_run:
         plan = planned(experiment, select)
-    from workflows.stages.plan import size_notes
-
+    else:
+        experiment, select, plan = fetchable(experiment, select)
     name = plan.experiment.name
     folder = directory / "results" / name
     jobs = 1 if timing else os.cpu_count() or 1 if cores == "all" else int(cores)
@@ -136,6 +138,24 @@ def run(
     summary(folder / plan.view)
 
 
+@app.command("snakemake-report")
+@user_errors
+def snakemake_report(
+    experiment: Experiment,
+    directory: Annotated[Path, typer.Option(help="Folder that contains results/.")] = CHECKOUT,
+) -> None:
+    """Write Snakemake's own report on a finished experiment: jobs, run times, results with captions."""
+    from workflows.running import snakemake_report as write
+
+    plan = planned(experiment)
+    name = plan.experiment.name
+    if Path(experiment).is_file():
+        experiment = str(Path(experiment).resolve())
+    out = directory / "results" / name / "snakemake-report.html"
+    write(directory, name, [f"experiment={experiment}"], out)
+    say(f"report    {out} ({out.stat().st_size / 1e6:.1f} MB)")
+
+
 @app.command()
 @user_errors
 def summary(folder: Folder) -> None:
@@ -148,19 +168,20 @@ def summary(folder: Folder) -> None:
 @app.command()
 @user_errors
 def record(
-    folders: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Folders of results; default: demo and real2d, where present."),
-    ] = None,
+    results: Annotated[
+        list[str], typer.Argument(help="Experiments that were run, or folders of results.")
+    ],
     version: Annotated[str, typer.Option(help="Name of the version; default: from git.")] = "",
-    history: History = Path("history"),
+    history: History = HISTORY,
 ) -> None:
-    """Record the small tables of experiments under a version name, for later comparisons."""
-    from workflows.compare import record as store
-    from workflows.compare import results_to_record
+    """Record the results of experiments under a version name, for comparisons and the history page."""
+    from workflows.recording import find
+    from workflows.recording import record as store
 
-    for folder in folders or results_to_record():
-        print(f"recorded  {store(folder, history, version)}")
+    for folder in [find(result) for result in results]:
+        out = store(folder, history, version)
+        size = sum(path.stat().st_size for path in out.iterdir())
+        print(f"recorded  {out} ({size / 1e3:.0f} kB)")
 
 
 @app.command()
@@ -169,38 +190,57 @@ def compare(
     base: Annotated[
         str,
         typer.Argument(
-            help="Recorded version or folder of records; with --exact: folder of results."
+            help="Recorded version, or folder of records or results; with --exact: of results."
         ),
-    ],
-    head: Annotated[str, typer.Argument(help="The version or folder to compare with the base.")],
+    ] = "",
+    head: Annotated[str, typer.Argument(help="The version or folder to compare with it.")] = "",
     exact: Annotated[
         bool,
         typer.Option("--exact", help="Compare run by run; only times may differ."),
     ] = False,
-    history: History = Path("history"),
+    times: Annotated[
+        Path | None, typer.Option(help="Table of `make timings`: CPU times measured in turn.")
+    ] = None,
+    history: History = HISTORY,
     json_out: Annotated[
         Path | None, typer.Option("--json", help="File for the verdicts or the differences.")
+    ] = None,
+    text: Annotated[
+        Path | None, typer.Option(help="File to which the verdicts are appended as Markdown.")
     ] = None,
 ) -> None:
     """Compare two sets of results: a verdict per metric or, with --exact, every difference.
 
-    Exit code 0: no regression (--exact: no unexplained difference); 1: there is one; 2: not comparable.
+    Exit code 0: no regression (--exact: no unexplained difference); 1: there is one; 2: not comparable,
+    such as an unknown version.
     """
+    if missing := [name for name, given in (("BASE", base), ("HEAD", head)) if not given]:
+        from workflows.recording import versions
+
+        known = ", ".join(versions(history)) or "none"
+        raise UserError(
+            f"{' and '.join(missing)} not given; use `make compare BASE=… HEAD=…` with recorded "
+            f"versions ({known}), or folders of results"
+        )
     if exact:
         from workflows.exact import differences, print_differences, read
 
         found = differences(read(Path(base)), read(Path(head)))
         print_differences(found)
-        table, failed = found.cells, found.unexplained
+        content, failed = found.cells.to_json(orient="records", indent=1), found.unexplained
     else:
+        from workflows import verdict_text
         from workflows.compare import compare as verdicts_of
-        from workflows.compare import print_verdicts, regressed
+        from workflows.compare import regressed
 
-        table = verdicts_of(base, head, history)
-        print_verdicts(table, base, head)
-        failed = regressed(table)
+        table = verdicts_of(base, head, history, times)
+        verdict_text.print_verdicts(table, base, head)
+        content, failed = verdict_text.as_json(table, base, head), regressed(table)
+        if text:
+            with text.open("a", encoding="utf-8") as stream:
+                stream.write(verdict_text.markdown(table, base, head))
     if json_out:
-        json_out.write_text(table.to_json(orient="records", indent=1), encoding="utf-8")
+        json_out.write_text(content, encoding="utf-8")
     raise typer.Exit(1 if failed else 0)
 
 

@@ -1,41 +1,38 @@
-"""Record the small tables of a version, and compare a later version with them.
-
-Verdicts, per experiment, method and metric:
+"""Compare two recorded versions: one verdict per experiment, method and metric.
 
 - Work counters are integers that do not depend on the machine: a single differing run is a real change.
-- A lost pose is a regression, whatever the cause.
-- Quality (RMSE, objective, success) is paired over the same instances and judged by a sign test;
-  a difference that may be due to chance is shown as ``unclear``.
-- Runs that hit the time or memory limit are excluded from counters, RMSE and objective, as they end at
-  another point in each execution; they count in poses, success and the certified share.
+- A lost pose is a regression, whatever the cause; so is a certificate lost otherwise than by
+  a time or memory limit.
+- Success, certificates, RMSE, objective and integrals over boxes are paired over the same instances and
+  judged by a sign test; a difference that may be due to chance is ``unclear``.
+- Runs that hit the time or memory limit are excluded from counters, RMSE, objective and integrals,
+  as they end at another point in each execution; they count in poses, success and the certified share.
 - Runs of a method that is not installed on one side are excluded.
-- Times are compared within one machine only, and never fail a comparison.
+- Times of records are measured once and at different moments. They are compared within one machine only,
+  and never fail a comparison. Times that were measured in turn (`tests.bench.interleaved`) do.
 
 Only the verdict ``worse`` is a regression.
 """
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from dcreg.files import whole_file
-from workflows import UserError, provenance, records
+from workflows import HISTORY, UserError
+from workflows.integrals import KINDS
 from workflows.metrics import METRICS
 from workflows.outcomes import TIMED
+from workflows.recording import read
+from workflows.timing import COUNTERS, judge, judge_once, judge_work
 
-COUNTERS = ("n_nodes", "n_assignments")
 QUALITY = ("rmse", "objective")
-EXPERIMENTS = ("demo", "real2d")  # recorded by default
 SAME = 1e-6  # relative difference up to which two floating-point results are equal
 SIGNIFICANT = 0.05
-NOTICEABLE = 1.2  # ratio of times
 
 
 class CompareError(UserError):
@@ -44,6 +41,11 @@ class CompareError(UserError):
 
 @dataclass(frozen=True)
 class Verdict:
+    """What became of one metric of one method.
+
+    `lost` and `won` are the instances that are worse and better in the head.
+    """
+
     experiment: str
     method: str
     metric: str
@@ -51,81 +53,44 @@ class Verdict:
     better: str
     base: float
     head: float
-    verdict: str  # same, better, worse, changed, unclear, not compared
+    verdict: str  # same, better, worse, changed, slower, faster, unclear, not compared
     detail: str
+    p_value: float = np.nan
+    lost: list[str] = field(default_factory=list)
+    won: list[str] = field(default_factory=list)
 
 
-# --- recording ---------------------------------------------------------------------------------
+@dataclass
+class Judged:
+    """Values, verdict and evidence of one metric."""
+
+    base: float
+    head: float
+    verdict: str
+    detail: str = ""
+    p_value: float = np.nan
+    lost: Sequence[str] = ()
+    won: Sequence[str] = ()
 
 
-def results_to_record(results: Path = Path("results")) -> list[Path]:
-    """Return the results of the experiments that are recorded by default."""
-    folders = [results / name for name in EXPERIMENTS if (results / name / "tables").is_dir()]
-    if not folders:
-        raise CompareError(
-            f"{results}: no results of {' or '.join(EXPERIMENTS)}; run one of them first"
-        )
-    return folders
+def compare(
+    base: str, head: str, history: Path = HISTORY, times: Path | None = None
+) -> pd.DataFrame:
+    """Return the verdicts on all experiments that both versions have.
 
+    Parameters
+    ----------
+    base, head : str
+        Recorded versions, folders of records, or folders of results.
+    history : Path
+    times : Path, optional
+        Table of `tests.bench.interleaved`: CPU times of both versions, measured in turn.
 
-def record(folder: Path, history: Path, version: str = "") -> Path:
-    """Store the small table of an experiment under a version; return its folder."""
-    runs = records.read(folder / "tables" / "runs.parquet", records.runs_columns())
-    known = json.loads((folder / "tables" / "provenance.json").read_text(encoding="utf-8"))
-    if known["selection"]:
-        raise CompareError(
-            f"{folder}: contains a part of the experiment ({known['selection']}); "
-            "run and record the whole experiment"
-        )
-    version = version or provenance.default_version()
-    out = history / version / known["experiment"]
-    out.mkdir(parents=True, exist_ok=True)
-    with whole_file(out / "runs.csv") as part:
-        runs[list(records.recorded_columns())].to_csv(part, index=False)
-    about = {key: known[key] for key in ("schema_version", "experiment", "machine", "versions")}
-    about |= {"version": version, "git": known["git"], "created": known["created"]}
-    with whole_file(out / "about.json") as part:
-        part.write_text(json.dumps(about, indent=1), encoding="utf-8")
-    return out
-
-
-def read_version(name: str, history: Path) -> dict[str, pd.DataFrame]:
-    """Read the tables of a recorded version, or of a folder of records, by experiment."""
-    folder = history / name
-    if not folder.is_dir():
-        folder = Path(name)
-    paths = sorted(folder.glob("*/runs.csv"))
-    if not paths:
-        kept = sorted(path.name for path in history.glob("*") if path.is_dir())
-        raise CompareError(
-            f"no records of {name!r} in {history}; known: {', '.join(kept) or 'none'}. "
-            f"Make them with `python -m workflows record --version {name}`"
-        )
-    return {path.parent.name: _read(path) for path in paths}
-
-
-def _read(path: Path) -> pd.DataFrame:
-    about = path.with_name("about.json")
-    known = json.loads(about.read_text(encoding="utf-8")) if about.is_file() else {}
-    version, commit = known.get("schema_version"), known.get("git", {}).get("commit")
-    at_commit = f" at commit {commit}" if commit else ""
-    records.check_version(version, str(path), f"run and record the experiment again{at_commit}")
-    try:
-        table = pd.read_csv(path, dtype={"instance_digest": str, "instance_id": str})
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise CompareError(f"{path}: not a readable table ({error}); record it again") from error
-    missing = [column for column in records.recorded_columns() if column not in table]
-    if missing:
-        raise CompareError(f"{path}: column {missing[0]!r} is missing; record it again")
-    return table
-
-
-# --- comparing ---------------------------------------------------------------------------------
-
-
-def compare(base: str, head: str, history: Path) -> pd.DataFrame:
-    """Return the verdicts on all experiments that both versions have."""
-    old, new = read_version(base, history), read_version(head, history)
+    Raises
+    ------
+    CompareError, RecordError, SchemaError
+    """
+    old, new = read(base, history), read(head, history)
     shared = [name for name in old if name in new]
     if not shared:
         raise CompareError(
@@ -133,11 +98,39 @@ def compare(base: str, head: str, history: Path) -> pd.DataFrame:
             "record the same experiment for both"
         )
     verdicts = [
-        verdict for name in shared for verdict in judge_experiment(name, old[name], new[name])
+        verdict
+        for name in shared
+        for verdict in judge_experiment(name, old[name].runs, new[name].runs)
     ]
     if all(verdict.verdict == "not compared" for verdict in verdicts):
         raise CompareError(f"{base} and {head} share no instance; record both with the same config")
+    if times is not None:
+        verdicts += judge_times(times)
     return pd.DataFrame(map(asdict, verdicts))
+
+
+def judge_times(path: Path) -> Iterator[Verdict]:
+    """Yield the verdicts on CPU times and work that were measured in turn.
+
+    Raises
+    ------
+    CompareError
+    """
+    if not path.is_file():
+        raise CompareError(f"{path}: no such table; measure it with `make timings OLD=folder`")
+    table = pd.read_csv(path)
+    where = ("timings", "dcreg")
+    for timed in judge(table):
+        word = {"slower": "worse", "faster": "better"}.get(timed.verdict, timed.verdict)
+        yield Verdict(
+            *where, f"CPU time, {timed.group}", "s, mean", "lower", timed.base_s, timed.head_s, word,
+            timed.summary,
+        )  # fmt: skip
+    for work in judge_work(table):
+        detail = f"{len(work.differing)} problems differ" if work.differing else ""
+        yield Verdict(
+            *where, work.counter, "count", "lower", work.base, work.head, work.verdict, detail
+        )
 
 
 def regressed(verdicts: pd.DataFrame) -> bool:
@@ -160,174 +153,159 @@ def judge_method(
     keys = ["instance_id", "instance_digest", "n_inliers"]
     pairs = base.merge(head, on=keys, suffixes=("_base", "_head"), validate="one_to_one")
     absent = pairs[["status_base", "status_head"]].isin(["unavailable"]).any(axis=1)
-    pairs = pairs[~absent]
+    pairs = pairs[~absent].assign(label=_labels)
     unmatched = len(base) + len(head) - 2 * len(pairs)
     excluded = f"{unmatched} runs without a counterpart" if unmatched else ""
 
-    def verdict(
-        metric: str, unit: str, better: str, old: float, new: float, word: str, why: str
-    ) -> Verdict:
-        detail = "; ".join(part for part in (why, excluded) if part)
+    def verdict(metric: str, unit: str, better: str, found: Judged) -> Verdict:
         return Verdict(
-            experiment, method, metric, unit, better, float(old), float(new), word, detail
-        )
+            experiment, method, metric, unit, better, float(found.base), float(found.head),
+            found.verdict, _joined(found.detail, excluded), found.p_value, list(found.lost),
+            list(found.won),
+        )  # fmt: skip
 
     if pairs.empty:
-        yield verdict("runs", "runs", "none", len(base), len(head), "not compared", "")
+        yield verdict("runs", "runs", "none", Judged(len(base), len(head), "not compared"))
         return
-    yield verdict("without pose", "runs", "lower", *_poses(pairs))
-    yield verdict("wrong bounds", "runs", "lower", *_wrong_bounds(pairs))
+    yield verdict("without pose", "runs", "lower", _poses(pairs))
+    yield verdict("wrong bounds", "runs", "lower", _wrong_bounds(pairs))
     if pairs[["gap_base", "gap_head"]].notna().any(axis=None):
-        yield verdict("certified", "runs", "higher", *_certified(pairs))
-    yield verdict("success", "runs", "higher", *_success(pairs))
+        yield verdict("certified", "runs", "higher", _certified(pairs))
+    yield verdict("success", "runs", "higher", _success(pairs))
+    for metric, unit, found in _of_steady_runs(pairs):
+        yield verdict(metric, unit, "lower", found)
 
+
+def _of_steady_runs(pairs: pd.DataFrame) -> Iterator[tuple[str, str, Judged]]:
+    """Yield metric, unit and verdict of what is compared over runs that no time limit cut."""
     timed = pairs[["status_base", "status_head"]].isin(TIMED).any(axis=1)
     steady = pairs[~timed]
     note = f"{timed.sum()} runs at a time or memory limit excluded" if timed.any() else ""
+
+    def noted(found: Judged) -> Judged:
+        found.detail = _joined(found.detail, note)
+        return found
+
     for counter in COUNTERS:
         counted = steady[steady[[f"{counter}_base", f"{counter}_head"]].notna().all(axis=1)]
         if len(counted):
-            old, new, word, why = _counter(counted, counter)
-            yield verdict(counter, "count", "lower", old, new, word, _joined(why, note))
+            yield counter, "count", noted(_counter(counted, counter))
     if steady.empty:
         return
     for metric in QUALITY:
-        old, new, word, why = _quality(steady, metric)
-        unit = METRICS[metric].unit
-        yield verdict(f"median {metric}", unit, "lower", old, new, word, _joined(why, note))
-    yield verdict("time_solve_s", "s, geometric mean", "lower", *_times(steady))
+        found = noted(_quality(steady, metric, METRICS[metric].worst))
+        yield f"median {metric}", METRICS[metric].unit, found
+    for kind in KINDS:
+        known = steady[
+            steady[[f"{kind}_integral_{s}" for s in _sides("boxes")]].notna().all(axis=1)
+        ]
+        if len(known):
+            found = noted(_quality(known, f"{kind}_integral_boxes", np.nan))
+            yield f"median {kind} integral", "boxes", found
+    for metric in ("time_solve_s", *(f"{kind}_integral_s" for kind in KINDS)):
+        if (steady[f"{metric}_base"] > 0).any():
+            yield metric, "s, geometric mean", _times(steady, metric)
 
 
-def sign_test(better: int, worse: int) -> str:
-    """Return ``same``, or ``better`` or ``worse`` if the difference is significant, else ``unclear``."""
+def _sides(name: str) -> tuple[str, str]:
+    return f"{name}_base", f"{name}_head"
+
+
+def _labels(pairs: pd.DataFrame) -> pd.Series:
+    """Return what a reader needs to recognise the instances."""
+    parts = [
+        pairs[f"{name}_base"].map(str) for name in ("dataset", "shape", "test", "level", "trial")
+    ]
+    return parts[0].str.cat(parts[1:], sep=" ")
+
+
+def sign_test(better: int, worse: int) -> tuple[str, float]:
+    """Return the verdict on paired differences, and its p-value: ``unclear`` if not significant."""
     from scipy.stats import binomtest
 
     if better == worse == 0:
-        return "same"
-    if binomtest(worse, better + worse).pvalue < SIGNIFICANT:
-        return "worse" if worse > better else "better"
-    return "unclear"
+        return "same", np.nan
+    p_value = float(binomtest(worse, better + worse).pvalue)
+    if p_value < SIGNIFICANT:
+        return "worse" if worse > better else "better", p_value
+    return "unclear", p_value
 
 
-Judged = tuple[float, float, str, str]  # value in base, value in head, verdict, detail
+def _paired(pairs: pd.DataFrame, old: float, new: float, lost: pd.Series, won: pd.Series) -> Judged:
+    """Judge a paired metric by a sign test; `lost` and `won` mark the instances that differ."""
+    word, p_value = sign_test(int(won.sum()), int(lost.sum()))
+    detail = ""
+    if word != "same":
+        detail = f"{lost.sum()} lost, {won.sum()} won of {len(pairs)}; sign test p = {p_value:.2g}"
+    return Judged(old, new, word, detail, p_value, [*pairs["label"][lost]], [*pairs["label"][won]])
 
 
 def _poses(pairs: pd.DataFrame) -> Judged:
     old, new = (pairs[f"rmse_{side}"].isna() for side in ("base", "head"))
-    lost, found = pairs[new & ~old], int((old & ~new).sum())
-    if lost.empty and not found:
-        return old.sum(), new.sum(), "same", ""
-    ended = ", ".join(
-        f"{count} {status}" for status, count in lost["status_head"].value_counts().items()
-    )
-    why = f"{len(lost)} poses lost{f' ({ended})' if ended else ''}, {found} found"
-    return old.sum(), new.sum(), "worse" if len(lost) else "better", why
+    found = _paired(pairs, old.sum(), new.sum(), new & ~old, old & ~new)
+    if found.lost:
+        ended = pairs.loc[new & ~old, "status_head"].value_counts().items()
+        why = ", ".join(f"{count} {status}" for status, count in ended)
+        found.verdict, found.detail = "worse", f"{len(found.lost)} poses lost ({why})"
+    elif found.won:
+        found.verdict, found.detail = "better", f"{len(found.won)} poses found"
+    return found
 
 
 def _wrong_bounds(pairs: pd.DataFrame) -> Judged:
     """Compare the numbers of lower bounds above the objective at the reference pose."""
-    old, new = (int(pairs[f"bound_violation_{side}"].gt(0).sum()) for side in ("base", "head"))
-    word = "worse" if new > old else "better" if new < old else "same"
-    return old, new, word, ""
+    old, new = (pairs[f"bound_violation_{side}"].gt(0) for side in ("base", "head"))
+    found = _paired(pairs, old.sum(), new.sum(), new & ~old, old & ~new)
+    if found.lost or found.won:
+        found.verdict = "worse" if found.lost else "better"
+    return found
 
 
 def _certified(pairs: pd.DataFrame) -> Judged:
-    """Compare certificates; one lost to the time limit counts only if the run was also much slower."""
+    """Compare certificates; one that was lost otherwise than by a time or memory limit is a fact."""
     old, new = (pairs[f"status_{side}"].eq("optimal") for side in ("base", "head"))
-    lost, gained = pairs[old & ~new], int((new & ~old).sum())
-    one_machine = lost["machine_id_base"] == lost["machine_id_head"]
-    much_slower = one_machine & (lost["time_solve_s_base"] < lost["time_solve_s_head"] / 2)
-    really = int((much_slower | (lost["status_head"] != "time_limit")).sum())
-    if really:
-        word = "worse"
-    elif len(lost):
-        word = "unclear"
-    else:
-        word = "better" if gained else "same"
-    return (
-        old.sum(),
-        new.sum(),
-        word,
-        f"{len(lost)} lost, {gained} gained" if word != "same" else "",
-    )
+    lost = old & ~new
+    found = _paired(pairs, old.sum(), new.sum(), lost, new & ~old)
+    steady = int((lost & ~pairs["status_head"].isin(TIMED)).sum())
+    if steady:
+        found.verdict = "worse"
+        found.detail += f"; {steady} lost without a time or memory limit"
+    return found
+
+
+def _success(pairs: pd.DataFrame) -> Judged:
+    old, new = pairs["success_base"].astype(bool), pairs["success_head"].astype(bool)
+    return _paired(pairs, old.sum(), new.sum(), old & ~new, new & ~old)
 
 
 def _counter(pairs: pd.DataFrame, name: str) -> Judged:
     old, new = pairs[f"{name}_base"], pairs[f"{name}_head"]
     differing = int((old != new).sum())
     if not differing:
-        return old.sum(), new.sum(), "same", ""
+        return Judged(old.sum(), new.sum(), "same")
     change = new.sum() - old.sum()
     word = "worse" if change > 0 else "better" if change < 0 else "changed"
-    return old.sum(), new.sum(), word, f"{differing} of {len(pairs)} runs differ"
+    why = f"{differing} of {len(pairs)} runs differ"
+    lost, won = [*pairs["label"][new > old]], [*pairs["label"][new < old]]
+    return Judged(old.sum(), new.sum(), word, why, np.nan, lost, won)
 
 
-def _success(pairs: pd.DataFrame) -> Judged:
-    old, new = pairs["success_base"].astype(bool), pairs["success_head"].astype(bool)
-    lost, gained = int((old & ~new).sum()), int((new & ~old).sum())
-    why = f"{lost} lost, {gained} gained" if lost or gained else ""
-    return old.sum(), new.sum(), sign_test(gained, lost), why
-
-
-def _quality(pairs: pd.DataFrame, name: str) -> Judged:
-    worst = METRICS[name].worst
-    old = pairs[f"{name}_base"].fillna(worst).to_numpy(dtype=float)
-    new = pairs[f"{name}_head"].fillna(worst).to_numpy(dtype=float)
+def _quality(pairs: pd.DataFrame, name: str, worst: float) -> Judged:
+    old, new = (pairs[side].fillna(worst).astype(float) for side in _sides(name))
     same = np.isclose(old, new, rtol=SAME, atol=1e-12)
-    better, worse = int((~same & (new < old)).sum()), int((~same & (new > old)).sum())
-    why = f"{better} better, {worse} worse of {len(pairs)}" if better or worse else ""
-    return np.median(old), np.median(new), sign_test(better, worse), why
+    return _paired(pairs, old.median(), new.median(), ~same & (new > old), ~same & (new < old))
 
 
-def _times(pairs: pd.DataFrame) -> Judged:
-    timed = pairs[pairs[["time_solve_s_base", "time_solve_s_head"]].gt(0).all(axis=1)]
+def _times(pairs: pd.DataFrame, name: str) -> Judged:
+    timed = pairs[pairs[[*_sides(name)]].gt(0).all(axis=1)]
     timed = timed[timed["machine_id_base"] == timed["machine_id_head"]]
     if timed.empty:
-        return np.nan, np.nan, "not compared", "no run of both on one machine"
-    old, new = np.log(timed["time_solve_s_base"]), np.log(timed["time_solve_s_head"])
-    means = float(np.exp(old.mean())), float(np.exp(new.mean()))
-    ratio = means[1] / means[0]
-    tested = sign_test(int((new < old).sum()), int((new > old).sum()))
-    if max(ratio, 1 / ratio) < NOTICEABLE:
-        word = "same"
-    elif tested in ("better", "worse"):
-        word = "slower" if ratio > 1 else "faster"
-    else:
-        word = "unclear"
-    return *means, word, f"ratio {ratio:.2f}; never a regression"
+        return Judged(np.nan, np.nan, "not compared", "no run of both on one machine")
+    old, new = (timed[side].to_numpy(dtype=float) for side in _sides(name))
+    means = (float(np.exp(np.log(side).mean())) for side in (old, new))
+    word, ratio = judge_once(old, new)
+    return Judged(*means, word, f"{ratio}; measured once, never a regression")
 
 
 def _joined(*parts: str) -> str:
     return "; ".join(part for part in parts if part)
-
-
-# --- printing ----------------------------------------------------------------------------------
-
-STYLES = {"worse": "bold red", "better": "green", "changed": "yellow", "unclear": "yellow"}
-
-
-def print_verdicts(verdicts: pd.DataFrame, base: str, head: str) -> None:
-    """Print every verdict that is not ``same``, and a summary line."""
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(width=None if os.isatty(1) else 140)
-    for experiment, group in verdicts.groupby("experiment", sort=False):
-        table = Table(title=f"{experiment}: {base} → {head}", title_justify="left")
-        for column in ("method", "metric", "unit", "better is", base, head, "verdict", "detail"):
-            table.add_column(column, justify="right" if column in (base, head) else "left")
-        for values in group[group["verdict"] != "same"].itertuples(index=False):
-            row = Verdict(*values)
-            style = STYLES.get(row.verdict, "")
-            table.add_row(
-                *(row.method, row.metric, row.unit, row.better),
-                *(f"{row.base:.6g}", f"{row.head:.6g}"),
-                f"[{style}]{row.verdict}[/]" if style else row.verdict,
-                row.detail,
-            )
-        same = int((group["verdict"] == "same").sum())
-        if table.row_count:
-            console.print(table)
-        console.print(f"{experiment}: {same} of {len(group)} metrics are the same")
-    worse = int((verdicts["verdict"] == "worse").sum())
-    console.print(f"{worse} regressions" if worse else "no regression")

@@ -13,6 +13,7 @@ from dcreg.problem import suggestion
 from workflows import UserError, shown
 
 QUICK = "-quick"  # ends the name of the quick part of an experiment
+EMBEDDED = "-embedded"  # ends the name of an experiment on embedded shapes (`workflows.stand_ins`)
 TIER = re.compile(
     r"(?P<whole>.+)-(?P<points>[1-9][0-9]*)"
 )  # the name of a tier: fewer points per shape

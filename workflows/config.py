@@ -16,7 +16,8 @@ from data import registry as data
 from data.parameters import explain, key_path
 from dcreg.problem import suggestion
 from workflows import CHECKOUT, shown
-from workflows.compose import QUICK, TIER, ConfigError, has_quick_part, read
+from workflows.compose import EMBEDDED, QUICK, TIER, ConfigError, has_quick_part, read
+from workflows.embedded import with_stand_ins
 from workflows.grid import DatasetSettings, Model, check_datasets, check_size, check_tier
 from workflows.parts import Part, part_of
 
@@ -107,14 +108,17 @@ class Place(NamedTuple):
     path: Path
     quick: bool = False
     n_points: int | None = None  # of the tier; None: as in the config
+    embedded: bool = False  # on embedded shapes
 
 
 def find(experiment: str) -> Place:
     """Return the config of an experiment, given by path or by name, such as ``demo``.
 
     ``paper2d-quick`` is the quick part of a config, ``paper2d-40`` its tier of 40 points per shape, and
-    ``paper2d-40-quick`` the quick part of the tier.
+    ``paper2d-40-quick`` the quick part of the tier. The ending ``-embedded`` replaces the shapes.
     """
+    if experiment.endswith(EMBEDDED):
+        return find(experiment.removesuffix(EMBEDDED))._replace(embedded=True)
     path = Path(experiment)
     if path.suffix in (".yaml", ".yml") and path.is_file():
         return Place(path)
@@ -140,7 +144,7 @@ def origin(experiment: str) -> str:
     if path.parent != CONFIGS:
         return shown(path)
     tier = "" if place.n_points is None else f"-{place.n_points}"
-    return path.stem + tier + QUICK * place.quick
+    return path.stem + tier + QUICK * place.quick + EMBEDDED * place.embedded
 
 
 def load(experiment: str) -> Experiment:
@@ -195,7 +199,9 @@ def with_methods(settings: Experiment, names: Iterable[str]) -> Experiment:
 def _load(place: Place) -> Experiment:
     """Read and check the experiment of a config, its quick part, or a tier."""
     path = place.path
-    content = read(*place)
+    content = read(path, place.quick, place.n_points)
+    if place.embedded:
+        content = with_stand_ins(content)
     try:
         settings = Experiment.model_validate(content)
     except ValidationError as error:

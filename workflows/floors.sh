@@ -10,7 +10,7 @@ floors=$("$venv/bin/python" - <<'END'
 import tomllib
 with open("pyproject.toml", "rb") as file:
     project = tomllib.load(file)["project"]
-needed = [*project["dependencies"], *project["optional-dependencies"].get("cli", [])]
+needed = [*project["dependencies"], *project["optional-dependencies"].get("plot", [])]
 print(*(requirement.replace(">=", "==") for requirement in needed))
 END
 )

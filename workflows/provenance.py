@@ -32,6 +32,8 @@ PACKAGES = [
     "plotly",
 ]
 
+_CODE = ("dcreg", "baselines", "data", "workflows", "reports")
+
 
 @cache
 def machine_card() -> dict[str, Any]:
@@ -61,10 +63,15 @@ def versions() -> dict[str, str]:
 
 
 def git_state() -> dict[str, Any]:
-    """Return the commit and whether tracked files differ from it; empty outside git."""
+    """Return the commit, whether the code differs from it, and which files it lacks; empty outside git.
+
+    A new file in a folder of code, such as an uncommitted method, is a difference.
+    """
     commit = _git("rev-parse", "HEAD")
     changed = _git("status", "--porcelain", "--untracked-files=no")
-    return {"commit": commit or "", "dirty": bool(changed)}
+    new = _git("ls-files", "--others", "--exclude-standard", "--", *_CODE)
+    untracked = new.splitlines() if new else []
+    return {"commit": commit or "", "dirty": bool(changed or untracked), "untracked": untracked}
 
 
 def default_version() -> str:

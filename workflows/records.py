@@ -32,7 +32,7 @@ RUN_AGAIN = "run the experiment again with `python -m workflows run EXPERIMENT`"
 class Column(NamedTuple):
     kind: type
     meaning: str
-    recorded: bool = False  # part of the small table that `workflows.compare` keeps with a version
+    recorded: bool = False  # part of the table that `workflows.recording` keeps with a version
     is_added: bool = False  # by another package: earlier tables do not have it
 
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from workflows.live import View
 
 INTERRUPTED = 130  # exit code, as in shells
+USER_ERROR = 2  # exit code of `workflows.cli.user_errors`, which prints the reason
 PATIENCE_S = 20.0  # for Snakemake to end after SIGTERM
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PROFILES = CHECKOUT / "workflows" / "profiles"
@@ -158,9 +159,42 @@ def run_snakemake(
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
-        if process.returncode and deadline == float("inf"):
-            print(errors.read().rstrip(), file=sys.stderr)
+        has_failed = process.returncode and deadline == float("inf")
+        if has_failed and (text := _unexplained(errors.read())):
+            print(text, file=sys.stderr)
     return process.returncode if deadline == float("inf") else INTERRUPTED
+
+
+def snakemake_report(directory: Path, name: str, config: Sequence[str], out: Path) -> None:
+    """Write Snakemake's own report on the finished experiment `name` below `directory`.
+
+    `config` are the arguments of ``--config``. The report is one HTML file; Snakemake has all it needs
+    installed and downloads nothing.
+
+    Raises
+    ------
+    UserError
+        An output is missing.
+    """
+    command = [
+        *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
+        *("--cores", "1", "--quiet", "all", "--nolock", "--directory", str(directory)),
+        *("--report", str(out.resolve())),
+        "--config",
+    ]
+    with (
+        the_only_run(directory, name),
+        NamedTemporaryFile("r", encoding="utf-8") as errors,
+    ):
+        done = subprocess.run([*command, *config, f"errors={errors.name}"], check=False)
+        if done.returncode:
+            raise UserError(f"{errors.read().strip()}\nRun the whole experiment first")
+
+
+def _unexplained(errors: str) -> str:
+    """Return Snakemake's messages, unless a stage has already said what the user can correct."""
+    has_said_why = "StageError" in errors and f"ended with exit code {USER_ERROR}" in errors
+    return "" if has_said_why else errors.rstrip()
 
 
 def _set_aside_damaged(folder: Path) -> None:

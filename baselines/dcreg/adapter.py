@@ -8,7 +8,8 @@ from baselines._shared.front_ends import SHARED, FrontEndError, missing_matches,
 from baselines._shared.library_search import solution_of
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 from dcreg.api import register, register_matches
-from dcreg.driver.modes import check_bound, find_mode
+from dcreg.driver.checks import check_bound
+from dcreg.driver.modes import find_mode
 from dcreg.driver.options import SolveOptions
 from dcreg.driver.warm_up import compile_covers, warm_up_matches, warm_up_mode
 from dcreg.families.mode import all_modes

@@ -23,13 +23,14 @@ _FEW = 4000  # source points that follow their nearest neighbours
 _MANY = 16_000  # ... where only one matching follows
 _MAX_MATCHINGS = 5  # before the last one, which is to be proved
 _PROVING_SHARE = 0.25  # of the time left, for the last matching
-_QUICK_SHARE = 0.1  # ... for that of `quick_value`
+_QUICK_SHARE = 0.1  # ... for those of `quick_pairs`
 # Alternating matching and fit converges slowly along the slopes of large clouds: a step is extended to
 # so many times its length, and the plain step is taken if that fails.
 _LONG_STEP = 4
 # Seconds per point that a matching and a greedy one take on a common machine with two cores.
-_MATCHING_S, _GREEDY_S = 4e-6, 1.5e-6
+_MATCHING_S, _GREEDY_S = 4e-6, 2.5e-6
 _OVER = np.ones(1, np.uint8)  # a stop flag
+_FOLLOWING_SHARE = 0.3  # of the time left, at least, until the first matching
 _MIN_GAIN = 1e-4  # relative decrease of the objective below which the local search ends
 
 
@@ -100,7 +101,11 @@ def descend(
     prove : bool
         Whether the last matching should be optimal. It may take `_PROVING_SHARE` of the time left.
     """
-    T = _near_fit(problem, T_target_source, budget, tree or tree_of(problem.target))
+    following, left = budget, budget.left()
+    if left:  # the first matching needs the rest
+        share = max(_FOLLOWING_SHARE, 1.0 - greedy_seconds(problem) / left)
+        following = budget.sub_budget(share)
+    T = _near_fit(problem, T_target_source, following, tree or tree_of(problem.target))
     stop = budget.hard_stop if has_time_to_match(problem, budget) else _OVER
     value, pairs = _matched(problem, T, stop)
     greedy, spent = bool(stop[0]), 1
@@ -120,11 +125,11 @@ def descend(
     return Descent(T, value, pairs, before, spent, greedy)
 
 
-def quick_value(problem: Problem, T: np.ndarray, budget: Budget) -> float:
-    """Return the sum of squared residuals of rough pairs at a pose; inf if there is no time for them."""
+def quick_pairs(problem: Problem, T: np.ndarray, budget: Budget) -> tuple[float, np.ndarray] | None:
+    """Return the sum of squared residuals of rough pairs at a pose, and these; None without time."""
     if budget.is_over or not has_time_to_match(problem, budget):
-        return np.inf
-    return _matched(problem, T, budget.isolated_sub_budget(_QUICK_SHARE).stop)[0]
+        return None
+    return _matched(problem, T, budget.isolated_sub_budget(_QUICK_SHARE).stop)
 
 
 def has_time_to_match(problem: Problem, budget: Budget) -> bool:

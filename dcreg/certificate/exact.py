@@ -113,10 +113,10 @@ class ExactProof:
         check_partition(c.start_lower, c.start_upper, c.leaf_lower, c.leaf_upper, same=0.0)
         is_empty = c.leaf_reasons == INADMISSIBLE
         least = float(c.leaf_bounds[~is_empty].min(initial=np.inf))
-        most = max(c.lower_bound, c.upper_bound - c.gap_tol)
+        most, area = max(c.lower_bound, c.upper_bound - c.gap_tol), c.unit**2
         require(
             c.lower_bound <= least,
-            f"lower_bound {c.lower_bound!r} does not follow: a leaf has {least!r}",
+            f"lower_bound {c.lower_bound * area!r} does not follow: a leaf has {least * area!r}",
         )
         high = np.flatnonzero(~is_empty & (c.leaf_bounds > most))
         require(not high.size, f"leaf_bounds: leaf {high[:1]} states more than is needed")
@@ -126,9 +126,10 @@ class ExactProof:
                 f"leaf {leaf} is stated to contain no admissible parameter, but contains one",
             )
         value = self._attained(c)
+        stated, found = c.lower_bound * area, float(value) * area
         require(
             c.lower_bound <= value,
-            f"lower_bound: {c.lower_bound!r} exceeds the objective {float(value)!r} of the pose",
+            f"lower_bound: {stated!r} exceeds the objective {found!r} of the pose",
         )
         size = (abs(self.x).max() << P) * max(Fraction(c.scale_range[1]), 1) + abs(self.y).max()
         residual = self.k * (RESIDUAL * self._largest / self.unit) ** 2

@@ -65,6 +65,8 @@ class Objective(abc.ABC):
         unlikely to be proven.
     rounding : float
         Rounding error of the bounds, if coordinates are larger than the normalised ones.
+    area : float
+        The squared unit of the clouds, for messages.
     """
 
     scope: str
@@ -76,6 +78,7 @@ class Objective(abc.ABC):
     boxes_per_leaf = 20
     far = 0.0
     rounding = 0.0
+    area = 1.0
 
     def __init__(
         self,
@@ -225,5 +228,6 @@ class Objective(abc.ABC):
                 raise CertificateError(
                     f"leaf {leaves[at]}: its bound is false: "
                     f"theta {np.array2string(theta, precision=6)} "
-                    f"has the objective {value:.9g}, below {bound:.9g}"
+                    f"(in normalised coordinates) has the objective {value * self.area:.9g}, below "
+                    f"{bound * self.area:.9g}"
                 )

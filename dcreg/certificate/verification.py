@@ -296,6 +296,7 @@ def objective_of(c: Certificate, source: np.ndarray, target: np.ndarray) -> Obje
         moving, fixed = fixed, moving
         pairs = None if pairs is None else pairs.T
     objective = OBJECTIVES[c.model](moving, fixed, c.n_inliers, tuple(c.scale_range), pairs)
+    objective.area = c.unit**2
     if not is_dense and (len(c.candidates) or not objective.is_sorted_order):
         raise CertificateError(f"cannot be checked: {n} x {m} pairs exceed {MAX_DENSE:,}")
     return objective
@@ -327,15 +328,17 @@ def exact_up_to(c: Certificate, source: np.ndarray, target: np.ndarray) -> float
 
 def check_claim(c: Certificate, slack: float, exact: float) -> None:
     """Check that the bounds of the leaves, if true, imply the stated lower bound and status."""
+    area = c.unit**2
+    stated = f"lower_bound {c.lower_bound * area:.9g}"
     require(
         0 <= c.lower_bound <= c.upper_bound + slack,
-        f"lower_bound {c.lower_bound:.9g} does not lie in [0, upper_bound {c.upper_bound:.9g}]",
+        f"{stated} does not lie in [0, upper_bound {c.upper_bound * area:.9g}]",
     )
-    minimum = c.leaf_bounds.min()
+    lowest = int(c.leaf_bounds.argmin())
+    minimum = c.leaf_bounds[lowest]
     require(
         c.lower_bound <= minimum + slack,
-        f"lower_bound {c.lower_bound:.9g} does not follow: leaf {int(c.leaf_bounds.argmin())} "
-        f"has the bound {minimum:.9g}",
+        f"{stated} does not follow: leaf {lowest} has the bound {minimum * area:.9g}",
     )
     threshold = c.upper_bound * (1.0 - 1e-9) - c.gap_tol - slack
     if c.status == "optimal" and c.lower_bound < threshold:
@@ -347,8 +350,8 @@ def check_claim(c: Certificate, slack: float, exact: float) -> None:
     early = np.flatnonzero((c.leaf_reasons == PRUNED) & (c.leaf_bounds < threshold))
     if early.size:
         raise CertificateError(
-            f"leaf {early[0]} was pruned with the bound {c.leaf_bounds[early[0]]:.9g}, "
-            f"below upper_bound - gap_tol = {c.upper_bound - c.gap_tol:.9g}"
+            f"leaf {early[0]} was pruned with the bound {c.leaf_bounds[early[0]] * area:.9g}, "
+            f"below upper_bound - gap_tol = {(c.upper_bound - c.gap_tol) * area:.9g}"
         )
 
 
@@ -361,7 +364,7 @@ def check_start_box(objective: Objective, lower: np.ndarray, upper: np.ndarray) 
         axis = short[0]
         raise CertificateError(
             f"start box: axis {axis} spans [{lower[axis]:.9g}, {upper[axis]:.9g}], but an optimum "
-            f"may lie anywhere in [{need_lower[axis]:.9g}, {need_upper[axis]:.9g}]"
+            f"may lie anywhere in [{need_lower[axis]:.9g}, {need_upper[axis]:.9g}] (normalised)"
         )
 
 
@@ -372,9 +375,10 @@ def check_optimum(objective: Objective, c: Certificate, slack: float) -> None:
     """Check that `theta` is admissible, attains the upper bound, and is not below its leaves' bounds."""
     require(objective.admissible(c.theta[None])[0], "theta: not an admissible parameter")
     value = objective.value(c.theta)
+    stated, found = (f"{each * objective.area:.9g}" for each in (c.upper_bound, value))
     require(
         abs(value - c.upper_bound) <= 1e-9 * c.upper_bound + slack,
-        f"upper_bound: {c.upper_bound:.9g} stated, but the objective at theta is {value:.9g}",
+        f"upper_bound: {stated} stated, but the objective at theta is {found}",
     )
     holds_it = ((c.leaf_lower <= c.theta) & (c.theta <= c.leaf_upper)).all(axis=1)
     around = np.flatnonzero(holds_it)

@@ -23,7 +23,7 @@ def main() -> None:
             raise
         sys.exit(
             f"error: the command dcreg needs the package {missing}, which is not installed; install "
-            "its packages with: pip install typer rich plotly\n"
+            "its packages with: pip install typer rich\n"
             "The Python library (import dcreg) works without them"
         )
     finally:

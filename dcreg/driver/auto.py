@@ -27,6 +27,7 @@ import numpy as np
 
 from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import greedy_count, tree_of
+from dcreg.driver.checks import norms_only
 from dcreg.driver.modes import choose_mode, find_mode, space_of
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Setup, solve
@@ -38,7 +39,6 @@ from dcreg.problem import (
     Problem,
     apply_pose,
     exact_objective,
-    largest_matching,
 )
 from dcreg.result import Result
 from dcreg.result_parts import ChosenNumber, ComparedNumber, Stage
@@ -54,12 +54,14 @@ POWER_OF_PAIRS, POWER_OF_NEIGHBOURS, POWER_OF_POSES = 3.0, 1.5, 1.5
 # a search takes longer), and those that are compared.
 PROBES, PROBES_OF_MANY = (0.45, 0.3, 0.18), (0.45,)
 SHARP = 1.5  # ratio of the next fractional RMSE to the best one; above, the last probe is left out
-LEAST, STEP = 0.1, 0.1
+SMALLEST_SHARE, SHARE_STEP = 0.1, 0.1
 MANY_PAIRS = 40_000  # point pairs from which nearest distances replace one-to-one pairs
 MAX_NUMBERS = 400  # among which the choice is made
 MAX_BETWEEN = 40  # numbers tried between the neighbours of the best one
 MAX_POSES = 3  # of a probe that are followed
-APART = 0.1  # RMS displacement of the source from which poses differ, in RMS radii of the target
+DISTINCT_POSES = (
+    0.1  # RMS displacement of the source from which poses differ, in RMS radii of the target
+)
 MAX_ROUNDS = 8  # of the alternation
 MAX_POINTS = 2000  # source points whose nearest distances are compared
 TIME_SHARE = 0.4  # of the time limit
@@ -85,9 +87,9 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
     if options.bound is not None or options.certificate:
         name = name or choose_mode(problem, options.bound, options.certificate)
     if name is not None:  # before kernels are compiled
-        _check(find_mode(problem.model, name))
+        _check(find_mode(problem.model, name), problem)
     setup = Setup.of(_problems(problem), limits, options)
-    _check(setup.mode)
+    _check(setup.mode, setup.searched[-1])
     is_many = setup.is_sampled or len(problem.source) * len(problem.target) > MANY_PAIRS
     kind = _ByNeighbours if is_many and problem.candidates is None else _ByPairs
     with setup.budget() as budget:
@@ -102,46 +104,50 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
             stages=[stage, *result.stages],
             n_assignments=result.n_assignments + choice.n_assignments,
             warnings=[
-                *choice_warnings(result.n_inliers, chosen, setup.problems[0].n_inliers),
+                *choice_warnings(result.n_inliers, chosen, setup.problems),
                 *result.warnings,
             ],
         )
 
 
-def _check(mode: Mode) -> None:
+def _check(mode: Mode, problem: Problem) -> None:
     """Refuse a mode that knows no poses."""
     if mode.in_norm_space:
         raise InputError(
-            "n_inliers: the number can only be chosen by a search over poses, but mode "
-            f"{mode.name!r} searches norms; give a number, or use mode 'full' (at most 4,000,000 point "
-            "pairs, 160,000 with a certificate) without a bound"
+            "n_inliers: the library chooses it by a search over poses; give a number, or change this: "
+            + norms_only(mode, problem)
         )
 
 
 def _problems(problem: Problem) -> list[Problem]:
     """Return the problem for all numbers among which the choice is made, in ascending order."""
-    most = min(len(problem.source), len(problem.target))
-    if problem.candidates is not None:
-        most = int((largest_matching(problem.candidates) >= 0).sum())
-    least = min(most, max(problem.dim, round(LEAST * most)))
+    most = problem.max_n_inliers
+    least = min(most, max(problem.dim, round(SMALLEST_SHARE * most)))
     numbers = np.unique(np.linspace(least, most, MAX_NUMBERS).round().astype(int))
     largest = problem.with_n_inliers(most)
     return [largest.with_n_inliers(int(k)) for k in numbers]
 
 
-def choice_warnings(n_inliers: int, chosen: ChosenNumber, least: int) -> Iterator[str]:
+def choice_warnings(
+    n_inliers: int, chosen: ChosenNumber, problems: Sequence[Problem]
+) -> Iterator[str]:
     """Yield a warning where the evidence for a number of pairs is weak."""
     if not chosen.compared:
         yield (
             "no numbers of pairs were compared before the search was stopped or the time was over, so "
             f"n_inliers={n_inliers} is a guess. {_REMEDY}"
         )
-    elif n_inliers == least:
+    elif n_inliers == problems[0].n_inliers < problems[-1].n_inliers:
         yield f"n_inliers={n_inliers} is the smallest number that was compared. {_REMEDY}"
     elif chosen.high > UNCERTAIN * chosen.low:
         yield (
             f"n_inliers={n_inliers} is uncertain: from {chosen.low} to {chosen.high} pairs, the "
             f"residuals do not increase sharply. {_REMEDY}"
+        )
+    if chosen.compared and chosen.is_cut:
+        yield (
+            f"n_inliers={n_inliers} is uncertain: the time for the choice, {TIME_SHARE:.0%} of the time "
+            f"limit, ended before all poses and numbers were compared. Allow more time. {_REMEDY}"
         )
     other = chosen.runner_up
     if other is not None and not chosen.low <= other <= chosen.high:
@@ -224,7 +230,7 @@ class _Choice(abc.ABC):
                 fits.append(self._followed(pose))
         if not fits:
             at = int(self.nearest([0.5])[0])
-            return at, ChosenNumber([], int(self.numbers[0]), int(self.numbers[-1])), None
+            return at, ChosenNumber([], *self.numbers[[0, -1]].tolist(), is_cut=True), None
         fit = min(fits, key=lambda each: each.value)
         wanted, share = self.number(fit)
         at = int(np.abs(self.numbers - wanted).argmin())
@@ -238,7 +244,10 @@ class _Choice(abc.ABC):
         first = others[others < fit.best].max(initial=-1) + 1
         last = others[others > fit.best].min(initial=len(compared)) - 1
         low, high = min(chosen, compared[first].n_inliers), max(chosen, compared[last].n_inliers)
-        return at, ChosenNumber(compared, low, high, self._runner_up(fit, fits)), fit.pose
+        evidence = ChosenNumber(
+            compared, low, high, self._runner_up(fit, fits), self.budget.is_over
+        )
+        return at, evidence, fit.pose
 
     def _runner_up(self, fit: _Fit, fits: Sequence[_Fit]) -> int | None:
         """Return the number of pairs of a clearly different pose that is nearly as good, or None."""
@@ -254,7 +263,7 @@ class _Choice(abc.ABC):
         setup = self.setup
         if setup.options.init is not None:
             yield setup.options.init
-        moments, apart = Moments.of(self.problem.source), APART * setup.frame.unit
+        moments, apart = Moments.of(self.problem.source), DISTINCT_POSES * setup.frame.unit
         probes = self.nearest(self.probes)[::-1].tolist()
         for n_left, at in zip(range(len(probes), 0, -1), probes, strict=True):
             if self.budget.is_over or (n_left == 1 and self._is_sharp()):
@@ -309,9 +318,8 @@ class _ByPairs(_Choice):
 
     def __init__(self, setup: Setup, budget: Budget) -> None:
         super().__init__(setup, budget)
-        self.grid = np.unique(
-            np.append(self.nearest(np.arange(LEAST, 1.0, STEP)), [0, len(self.numbers) - 1])
-        )
+        shares = np.arange(SMALLEST_SHARE, 1.0, SHARE_STEP)
+        self.grid = np.unique(np.append(self.nearest(shares), [0, len(self.numbers) - 1]))
         normalised = [setup.normalised(at, budget) for at in self.grid.tolist()]
         self.spaces: list[Any] = [space_of(setup.mode, each) for each in normalised]
 
@@ -361,7 +369,7 @@ class _ByNeighbours(_Choice):
         source = self.problem.source
         rows = np.random.default_rng(0).permutation(len(source))[:MAX_POINTS]
         self.some, self.tree = source[np.sort(rows)], tree_of(self.problem.target)
-        shares = np.arange(LEAST, 1.0 + 0.25 * STEP, 0.5 * STEP)
+        shares = np.arange(SMALLEST_SHARE, 1.0 + 0.25 * SHARE_STEP, 0.5 * SHARE_STEP)
         self.grid = np.unique(np.maximum(1, (shares * len(self.some)).round().astype(int)))
 
     def fit(self, pose: np.ndarray) -> _Fit:

@@ -19,6 +19,7 @@ import numpy as np
 
 from dcreg import text
 from dcreg._version import __version__
+from dcreg.driver.checks import norms_only
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.families.mode import Mode
 from dcreg.families.protocol import Strongest
@@ -52,8 +53,8 @@ def open_checkpoint(
     assert options.checkpoint is not None
     if mode.rotation is not None:
         raise InputError(
-            f"checkpoint: mode {mode.name!r} of {mode.model} has two searches and cannot be continued; "
-            "use mode 'full', with clouds of at most 4,000,000 point pairs, or omit checkpoint"
+            "checkpoint: only a search over poses can be continued; omit checkpoint, or change this: "
+            + norms_only(mode, problem)
         )
     if problem.pose_range is not None and problem.pose_range.has_limits:
         raise InputError(

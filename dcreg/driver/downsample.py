@@ -12,7 +12,7 @@ import numpy as np
 
 from dcreg import text
 from dcreg.assignment.descent import polish
-from dcreg.assignment.large import descend, greedy_seconds, near_value, quick_value
+from dcreg.assignment.large import descend, greedy_seconds, near_value, quick_pairs
 from dcreg.assignment.objective import Matched, is_large, objective, quick_objective
 from dcreg.assignment.sparse import tree_of
 from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE, NORM_PAIRS
@@ -28,7 +28,7 @@ MAX_OBJECTIVE_RATIO = 4.0  # of a pose to the best one; worse poses are not refi
 ALL_POINTS = "all points"  # the stage in which the pose of a sample is refined
 # Share of the time for the search of a sample; the rest is for refining its pose on all points.
 SEARCH_SHARE = 0.8
-LEAST_SHARE = 0.5  # of huge clouds within a short limit
+LEAST_SHARE = 0.3  # of huge clouds within a short limit
 
 
 def to_search(
@@ -228,9 +228,11 @@ def _refined_large(
     poses: list[Pose] = [(first.value, first.T_target_source, first.pairs)]
     ends, spent = [(first.T_target_source, first.value)], first.n_assignments
     before = first.before
-    if not (first.greedy or first.value <= exact_objective(*sizes)):
-        # the pairs of the last pose can be far from the best ones at the first pose
-        before, spent = min(before, quick_value(problem, T, budget)), spent + 1
+    is_rough = not first.greedy and first.value > exact_objective(*sizes)
+    # the pairs of the last pose can be far from the best ones at the first pose, which can be better
+    if is_rough and (own := quick_pairs(problem, T, budget)) is not None:
+        before, spent = min(before, own[0]), spent + 1
+        poses.append((own[0], T, own[1]))
     rounding = rounding_error(*sizes)
     scale = (before + rounding) / (near[0] + rounding)  # both at the pose of the sample
     for other, value in zip(others, near[1:], strict=True):

@@ -18,6 +18,10 @@ MB = 2**20
 PROCESS_MB = 200.0  # Python, its libraries and the kernels
 COST_BYTES = 12  # per pair of points: costs in double and in single precision
 PENALTY_BYTES = 9  # per pair of points, if there are candidates
+WEIGHT_BYTES = (
+    48  # per pair of points: factors and constants, also in the units of the search, and copies
+)
+SPACE_BYTES, MAX_SPACES = 100, 12  # per point: the copies of a space for another number of pairs
 POINT_BYTES = 250  # per point: copies, search trees and neighbours
 STORED_2D_MB, STORED_3D_MB = 400.0, 150.0  # what bounds store at most about vertices of boxes
 OPTIMISM = 0.7  # measured memory, divided by the estimate, at least
@@ -26,9 +30,13 @@ MANY_PAIRS, LONG_S = 1_000_000, 600.0
 
 
 def estimated_memory(
-    problem: Problem, searched: Problem, mode: Mode, bound: str | None
+    problem: Problem, searched: Problem, mode: Mode, bound: str | None, n_numbers: int = 1
 ) -> MemoryEstimate:
-    """Return the memory that a problem needs, of which a sample or all points are searched."""
+    """Return the memory that a problem needs, of which a sample or all points are searched.
+
+    A sweep, and the choice of the number of pairs, keep a space of the searched points for each of
+    `n_numbers`, of which at most `MAX_SPACES` count.
+    """
     n, m = len(searched.source), len(searched.target)
     pairs, is_free = n * m, searched.candidates is None
     search = 0 if is_matrix_free(mode, searched, bound) else COST_BYTES * pairs
@@ -40,6 +48,9 @@ def estimated_memory(
     matching = 0 if is_free and is_large(n, m) else 8 * (problem.dim + 1) * n * m
     needed = max(search, matching) + POINT_BYTES * (n + m)
     needed += 0 if is_free else PENALTY_BYTES * pairs
+    needed += 0 if problem.weights is None else WEIGHT_BYTES * pairs
+    n_more = min(n_numbers, MAX_SPACES) - 1
+    needed += n_more * SPACE_BYTES * (len(searched.source) + len(searched.target))
     dim, duals = (3, 0) if mode.in_norm_space else (4, 0)
     if not by_vertices:
         dim, duals = 7 + problem.has_scale, max(len(searched.source), len(searched.target))

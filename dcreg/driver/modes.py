@@ -1,4 +1,4 @@
-"""Choose and run a mode (`dcreg.families.mode`), and reject settings that it would ignore."""
+"""Choose and run a mode (`dcreg.families.mode`)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.assignment.objective import AT_ONCE_PAIRS
+from dcreg.assignment.objective import is_large
 from dcreg.driver.feasible import FEASIBLE, refuted_at_once
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.families.mode import Mode, load_mode
 from dcreg.families.registry import bound_parts, make_bound
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.jit import when_compiling
-from dcreg.names import AUTO, DEFAULT_BOUND, MODEL_DIM, mode_files, mode_names
+from dcreg.names import AUTO, MODEL_DIM, mode_files, mode_names
 from dcreg.problem import InputError, Problem, suggestion
 from dcreg.result import Stage
 from dcreg.search import Bound, Box, Boxes, Budget, Interrupted, Outcome, Start, minimise
@@ -49,6 +49,9 @@ NORM_PAIRS = 4_000_000
 CERTIFIED_PAIRS = 160_000
 # Share of the time for the translation search; the rotation search follows.
 TRANSLATION_SHARE = 0.8
+# Seconds per point that matching and warnings take after both searches of large clouds, and the largest
+# share of the time that is reserved for them.
+ENDING_S, LARGEST_ENDING = 1e-5, 0.75
 ALL_POSES = "all poses"  # the stage of a search that a range of poses does not limit
 
 
@@ -84,84 +87,6 @@ def choose_mode(problem: Problem, bound: str | None = None, certificate: bool = 
     return "full"
 
 
-def check_mode(
-    mode: Mode,
-    problem: Problem,
-    bound: str | None,
-    certificate: bool,
-    *,
-    has_init: bool = False,
-    has_max_rms: bool = False,
-) -> None:
-    """Reject settings that this mode would ignore, and clouds that do not fit into memory.
-
-    Raises
-    ------
-    InputError
-    """
-    check_bound(mode, bound)
-    if certificate and not mode.certifies:
-        remedy = "use mode 'paper'" if _has_paper(problem.model) else f"{problem.model} has none"
-        raise InputError(f"certificate: mode {mode.name!r} keeps no leaf boxes; {remedy}")
-    for name, given in (("init", has_init), ("max_rms", has_max_rms)):
-        if given and mode.in_norm_space:
-            raise InputError(
-                f"{name}: mode {mode.name!r} searches norms, not poses; use mode 'full', with clouds "
-                f"of at most {NORM_PAIRS:,} point pairs, and omit bound and certificate"
-            )
-    if problem.pose_range is not None:
-        if mode.in_region is None:
-            raise InputError(
-                f"pose_range: mode {mode.name!r} searches all rotations; use mode 'full', or omit mode, "
-                "bound and certificate"
-            )
-        if certificate:
-            raise InputError(
-                "certificate: `dcreg verify` knows no ranges of poses; omit certificate or pose_range"
-            )
-    if problem.weights is not None:
-        _check_weights(mode, problem, {"certificate": certificate, "max_rms": has_max_rms})
-    n, m = len(problem.source), len(problem.target)
-    if n * m > MAX_PAIRS and not is_matrix_free(mode, problem, bound):
-        remedy = "downsample both clouds first (downsample=200, or --downsample 200)"
-        if problem.model == "rigid3d":
-            remedy += f", or use mode 'paper' with bound {DEFAULT_BOUND!r} and without candidates"
-        raise InputError(f"source, target: {n} x {m} pairs exceed {MAX_PAIRS:,}; {remedy}")
-
-
-def _check_weights(mode: Mode, problem: Problem, others: dict[str, bool]) -> None:
-    """Refuse weights with a mode, a range, clouds or other settings that would ignore them."""
-    others = {"pose_range": problem.pose_range is not None, **others}
-    for name in filter(others.get, others):
-        raise InputError(f"{name}: takes no weights; omit {name} or weights")
-    n, m = problem.weights.factors.shape if problem.weights else (0, 0)
-    if n * m > AT_ONCE_PAIRS:
-        raise InputError(
-            f"weights: {n} x {m} pairs exceed {AT_ONCE_PAIRS:,}; thin both clouds first, or omit weights"
-        )
-    if not mode.takes_weights:
-        raise InputError(
-            f"weights: {problem.model} in mode {mode.name!r} takes none; use similarity2d, or rigid3d in "
-            "mode 'full' without bound"
-        )
-
-
-def check_bound(mode: Mode, bound: str | None) -> None:
-    """Refuse an unknown bound, and any bound if the mode has its own."""
-    if bound is None:
-        return
-    bound_parts(bound)  # refuses unknown names
-    if mode.make_bound is not None:
-        raise InputError(
-            f"bound: mode {mode.name!r} has its own bounds and does not accept {bound!r}; leave "
-            f"the bound out{', or choose mode ' + repr('paper') if _has_paper(mode.model) else ''}"
-        )
-
-
-def _has_paper(model: str) -> bool:
-    return "paper" in mode_names(model)
-
-
 def is_matrix_free(mode: Mode, problem: Problem, bound: str | None) -> bool:
     """Tell whether the search needs no matrix of costs."""
     return (
@@ -170,6 +95,15 @@ def is_matrix_free(mode: Mode, problem: Problem, bound: str | None) -> bool:
         and problem.candidates is None
         and MATRIX_FREE_BOUNDS.issuperset(bound_parts(bound or mode.own_bound))
     )
+
+
+def before_matching(mode: Mode, problem: NormalisedProblem) -> Budget:
+    """Return the budget of the searches, after which the points of large clouds are matched."""
+    budget, left = problem.budget, problem.budget.left()
+    n, m = len(problem.source), len(problem.target)
+    if mode.rotation is None or not left or not is_large(n, m):
+        return budget
+    return budget.isolated_sub_budget(1.0 - min(ENDING_S * (n + m) / left, LARGEST_ENDING))
 
 
 def search_share(mode: Mode) -> float:
@@ -224,9 +158,12 @@ def compile_cover(mode: Mode) -> None:
 
 def run_mode(mode: Mode, problem: NormalisedProblem) -> Solution:
     """Search the space of the mode, then recover the pose."""
-    budget = problem.budget
-    searching = budget.sub_budget(search_share(mode)).with_patience(problem.patience_s)
-    tries = list(attempts(Attempt(mode, problem), searching))
+    budget = before_matching(mode, problem)
+    # of two stages, each has its own stop flags
+    part = budget.sub_budget if mode.rotation is None else budget.isolated_sub_budget
+    searching = part(search_share(mode))
+    tried = Attempt(mode, replace(problem, budget=searching))
+    tries = list(attempts(tried, searching.with_patience(problem.patience_s)))
     attempt, found = tries[-1]
     space = attempt.space
     solution = Solution(

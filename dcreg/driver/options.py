@@ -118,6 +118,16 @@ class SolveOptions:
                 f"listener: {self.listener!r} cannot be called; give a function of one dcreg.Event"
             )
 
+    def refuse_checkpoint(self) -> None:
+        """Refuse a checkpoint, for a function that saves none.
+
+        Raises
+        ------
+        InputError
+        """
+        if self.checkpoint is not None:
+            raise InputError("checkpoint: only register and certify save one; omit it")
+
     @classmethod
     def of(cls, given: SolveOptions | None) -> SolveOptions:
         """Return the options given, or the default ones.

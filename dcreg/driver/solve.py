@@ -14,6 +14,7 @@ from dcreg.assignment.objective import Matched, is_large, objective, quick_objec
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.record import record
 from dcreg.diagnostics import Case, advice, warnings_for
+from dcreg.driver.checks import check_mode
 from dcreg.driver.downsample import (
     ALL_POINTS,
     Pose,
@@ -23,7 +24,7 @@ from dcreg.driver.downsample import (
     to_search,
 )
 from dcreg.driver.memory import advance_notice, check_memory, estimated_memory
-from dcreg.driver.modes import check_mode, choose_mode, find_mode, run_mode
+from dcreg.driver.modes import choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution, in_input_units
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.uncertainty import with_uncertainty
@@ -73,7 +74,7 @@ def solve(setup: Setup, at: int, budget: Budget, init: np.ndarray | None = None)
     solution = run_mode(setup.mode, normalised)
     solution.events = budget.history
     result = Finish(setup, at, normalised, budget, searching).result(solution)
-    return replace(result, time_solve_s=budget.elapsed())
+    return replace(result, time_solve_s=budget.elapsed(), time_earlier_s=budget.earlier_s)
 
 
 @dataclass(frozen=True)
@@ -152,7 +153,7 @@ class Setup:
         chosen = mode or find_mode(largest.model, name)
         check_mode(chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms)
         limits.check(largest.n_inliers)
-        memory = estimated_memory(problems[-1], largest, chosen, bound)
+        memory = estimated_memory(problems[-1], largest, chosen, bound, len(problems))
         check_memory(memory, problems[-1])
         if notice := advance_notice(memory, problems[-1], limits.time_s):
             _LOGGER.info(notice)

@@ -66,8 +66,7 @@ def sweep_problems(
     """Solve problems that differ in `n_inliers`, given in ascending order; see `dcreg.sweep`."""
     if options.certificate:
         raise InputError("certificate: a sweep keeps none; use register for one n_inliers")
-    if options.checkpoint is not None:
-        raise InputError("checkpoint: only register and certify save one; omit it")
+    options.refuse_checkpoint()
     setup = Setup.of(problems, limits, options)
     with setup.budget() as budget:
         solve = _Sweep(setup, budget)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
+from textwrap import dedent
 
 import plotly.graph_objects as go
 
@@ -38,11 +39,15 @@ def figure(drawn: Sequence[go.BaseTraceType] = ()) -> go.Figure:
         list(drawn),
         go.Layout(
             template={"layout": {"xaxis": axis, "yaxis": axis}},
-            scene=dict.fromkeys(("xaxis", "yaxis", "zaxis"), solid),
+            scene={
+                **dict.fromkeys(("xaxis", "yaxis", "zaxis"), solid),
+                "camera": {"eye": {"x": 1.7, "y": 1.7, "z": 1.3}},  # tick labels fit on a phone
+            },
             paper_bgcolor=_CLEAR,
             plot_bgcolor=_CLEAR,
             modebar={"bgcolor": _CLEAR, "color": GREY},
-            legend={"orientation": "h", "y": -0.16, "yanchor": "top"},
+            # below the title of the x axis, however far that is
+            legend={"orientation": "h", "yref": "container", "y": 0, "yanchor": "bottom"},
             margin={"l": 10, "r": 10, "t": 24, "b": 10},
         ),
     )
@@ -60,22 +65,23 @@ def write_page(
     notes: Sequence[str] = (),
 ) -> None:
     """Write a page with `figures` by caption, names and values (`facts`), a table and notes below it."""
-    body = [f"<h1>{escape(title)}</h1>", f'<p class="status">{escape(status)}</p>']
+    body = ["<main>", f"<h1>{escape(title)}</h1>", f'<p class="status">{escape(status)}</p>']
     if warnings:
         items = "".join(f"<li>{escape(warning)}</li>" for warning in warnings)
         body.append(f'<ul class="warnings">{items}</ul>')
     body.append('<div class="figures">')
     for at, caption in enumerate(figures):
         body.append(f"<figure><figcaption>{escape(caption)}</figcaption>")
-        body.append(f'<div class="plot" id="figure{at}"></div></figure>')
+        label = f'role="group" aria-label="{escape(caption)}"'
+        body.append(f'<div class="plot" id="figure{at}" {label}></div></figure>')
     body.append("</div>")
     if facts:
         body.append(f"<dl>{''.join(_fact(name, value) for name, value in facts)}</dl>")
     headings, rows = table
     if rows:
         cells = "\n".join([_cells("th", headings), *(_cells("td", row) for row in rows)])
-        body.append(f'<div class="scroll"><table>\n{cells}\n</table></div>')
-    body += [f'<p class="notes">{escape(note)}</p>' for note in notes]
+        body.append(f'<div class="scroll" tabindex="0"><table>\n{cells}\n</table></div>')
+    body += [*(f'<p class="notes">{escape(note)}</p>' for note in notes), "</main>"]
     head = [
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
@@ -116,8 +122,10 @@ def page_title(kind: str, names: tuple[str, str]) -> str:
 
 
 def _fact(name: str, value: str) -> str:
-    kind = ' class="long"' if "\n" in value else ""  # shown as it stands
-    return f"<div{kind}><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>"
+    if "\n" not in value:
+        return f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>"
+    block = escape(dedent(value))  # shown as it stands; a narrow screen scrolls it
+    return f'<div class="long"><dt>{escape(name)}</dt><dd tabindex="0">{block}</dd></div>'
 
 
 def _cells(tag: str, values: Sequence[str]) -> str:

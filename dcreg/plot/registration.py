@@ -90,7 +90,7 @@ def figures(source: np.ndarray, target: np.ndarray, result: Result) -> dict[str,
 
 def clouds_figure(source: np.ndarray, target: np.ndarray, *more: go.BaseTraceType) -> go.Figure:
     """Return both clouds in one figure, with more traces."""
-    drawn = [_points(target, "target", TARGET), _points(source, "source", SOURCE), *more]
+    drawn = [*more, _points(target, "target", TARGET), _points(source, "source", SOURCE, ring=True)]
     fig = figure(drawn)
     if source.shape[1] == 3:
         fig.update_scenes(aspectmode="data")
@@ -99,14 +99,20 @@ def clouds_figure(source: np.ndarray, target: np.ndarray, *more: go.BaseTraceTyp
     return fig
 
 
-def _points(points: np.ndarray, name: str, color: str) -> go.BaseTraceType:
+def _points(points: np.ndarray, name: str, color: str, *, ring: bool = False) -> go.BaseTraceType:
+    """Return a cloud as dots or, larger, as rings: a ring leaves the dot of its partner visible."""
     step = -(-len(points) // _MAX_POINTS)
     size = 6 if points.shape[1] == 2 else 4 if len(points) < 1000 else 2
     return _scatter(
         points[::step],
         name=name if step == 1 else f"{name} (every {step}th point)",
         mode="markers",
-        marker={"color": color, "size": size, "opacity": 0.8},
+        marker={
+            "color": color,
+            "size": 1.5 * size if ring else size,
+            "symbol": "circle-open" if ring else "circle",
+            "opacity": 0.8,
+        },
         customdata=np.arange(len(points))[::step],
         hovertemplate=f"{name} %{{customdata}}<extra></extra>",
     )
@@ -123,6 +129,7 @@ def _pair_lines(moved: np.ndarray, target: np.ndarray, pairs: np.ndarray) -> go.
         name="matched pairs",
         mode="lines",
         line={"color": GREY, "width": 1.5},
+        legendrank=1001,  # last, although it is below the points
         hoverinfo="skip",
     )
 

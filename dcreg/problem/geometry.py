@@ -81,6 +81,7 @@ _AROUND = 12  # neighbours that show a volume
 _DENSITY = 8  # the neighbour whose distance shows the density
 _SPARSE = 2.0  # times the median distance to that neighbour
 _THINNED, _THINNED_TIMES = 40_000, 10  # points, or times the sample, of which a sample is drawn
+_MAX_DISTANCES = 500_000_000  # compared to choose farthest points, which takes seconds
 _VOLUME = 0.08  # least ratio of the smallest to the largest variance of the neighbours
 
 
@@ -193,6 +194,7 @@ def representative_points(points: np.ndarray, count: int) -> np.ndarray:
     """Return the rows of `count` farthest points among those that are not `isolated`.
 
     Many points are thinned at random first: the ratios of distances, which show outliers, stay the same.
+    A sample so large that its farthest points would take minutes is drawn at random, without outliers.
 
     Parameters
     ----------
@@ -211,6 +213,8 @@ def representative_points(points: np.ndarray, count: int) -> np.ndarray:
         rng = np.random.default_rng(0)
         some = np.sort(rng.permutation(len(points))[: max(_THINNED, _THINNED_TIMES * count)])
     kept = some[~isolated(points[some])]
+    if count * len(kept) > _MAX_DISTANCES:
+        return np.sort(np.random.default_rng(0).permutation(kept)[:count])
     return kept[farthest_points(points[kept], count)]
 
 

@@ -38,13 +38,17 @@ def check_candidates(candidates: Candidates, n: int, m: int, n_inliers: int) -> 
             )
     else:
         mask = _mask_of_lists(candidates, n, m)
-    most = int((largest_matching(mask) >= 0).sum())
+    most = _matching_size(mask)
     if most < n_inliers:
         raise InputError(
             f"candidates: at most {most} pairs can be matched one to one, fewer than n_inliers = "
             f"{n_inliers}; allow more pairs or lower n_inliers"
         )
     return None if mask.all() else mask
+
+
+def _matching_size(mask: np.ndarray) -> int:
+    return int((largest_matching(mask) >= 0).sum())
 
 
 def largest_matching(mask: np.ndarray) -> np.ndarray:
@@ -175,6 +179,13 @@ class Problem:
     def dim(self) -> int:
         """Dimension of the points: 2 or 3."""
         return MODEL_DIM[self.model]
+
+    @property
+    def max_n_inliers(self) -> int:
+        """The largest number of pairs that can be matched one to one."""
+        if self.candidates is not None:
+            return _matching_size(self.candidates)
+        return min(len(self.source), len(self.target))
 
     @property
     def has_scale(self) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from dcreg import text
 from dcreg.answer import Answer
-from dcreg.driver.modes import run_mode
+from dcreg.driver.modes import NORM_PAIRS, run_mode
 from dcreg.driver.options import Limits, SolveOptions, check_positive
 from dcreg.driver.solve import Finish, Setup
 from dcreg.driver.warm_up import warm_up_region
@@ -243,9 +243,14 @@ def find_alternatives(
             "points, such as keypoints, and no downsample"
         )
     if setup.mode.in_region is None:
+        n, m = len(problem.source), len(problem.target)
+        if n * m > NORM_PAIRS:
+            raise InputError(
+                f"source, target: {n:,} x {m:,} points are too many for a search for other poses (at "
+                f"most {NORM_PAIRS:,} pairs of points); give fewer points, such as keypoints"
+            )
         raise InputError(
-            f"mode: {setup.mode.name!r} cannot search for other poses; use mode 'full' with clouds of at "
-            "most 4,000,000 point pairs, and omit bound"
+            f"mode: {setup.mode.name!r} cannot search for other poses; use mode 'full', and omit bound"
         )
     warm_up_region(setup.mode)
     with setup.budget() as budget:
@@ -285,8 +290,7 @@ def _check(
         )
     if options.certificate:
         raise InputError("certificate: a search for alternatives keeps none; omit it")
-    if options.checkpoint is not None:
-        raise InputError("checkpoint: only register and certify save one; omit it")
+    options.refuse_checkpoint()
 
 
 def _described(setup: Setup, result: Result, T: np.ndarray, value: float) -> Alternative:

@@ -155,11 +155,8 @@ def max_inliers(
     chosen = SolveOptions.of(options)
     if chosen.certificate:
         raise InputError("certificate: the question has none; omit it")
-    if chosen.checkpoint is not None:
-        raise InputError("checkpoint: only register and certify save one; omit it")
-    most = min(n, m)
-    if first.candidates is not None:
-        most = int((largest_matching(first.candidates) >= 0).sum())
+    chosen.refuse_checkpoint()
+    most = first.max_n_inliers
     limits = Limits(time_s=time_limit, max_rms=distance)
     limits.check(most)
     with Budget(time_limit) as budget:

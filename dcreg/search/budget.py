@@ -169,6 +169,8 @@ class Budget:
         Of this budget and all its parts.
     checkpoint : Checkpoint, optional
         Set before the search; all parts share it.
+    earlier_s : float
+        Seconds of earlier parts of the solve, which `elapsed` includes.
     patience_s : float or None
         Seconds that a search may take for a proof; inf: only the time of the budget limits it; None: the
         search continues even if no proof is expected.
@@ -200,6 +202,7 @@ class Budget:
         self._root = self
         self.patience_s: float | None = None
         self.checkpoint: Checkpoint | None = None
+        self.earlier_s = 0.0
         self._stopped = False
         self._reports = True
         self._incumbent = -np.inf
@@ -261,6 +264,7 @@ class Budget:
     def add_earlier(self, elapsed_s: float, history: list[Event]) -> None:
         """Count the time and the events of an earlier part of the solve; the time left stays."""
         self._began -= elapsed_s
+        self.earlier_s += elapsed_s
         self.history[:0] = history
 
     def left(self) -> float | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from rocrate.rocrate import ROCrate
@@ -16,6 +16,10 @@ FORMATS = {
     ".parquet": "application/vnd.apache.parquet",
     ".json": "application/json",
     ".gz": "application/gzip",
+    ".yaml": "application/yaml",
+    ".cff": "application/yaml",
+    ".md": "text/markdown",
+    ".py": "text/x-python",
 }
 MEANINGS = {
     "archive.json": "Version, schema, lock file and experiments of this archive",
@@ -24,6 +28,9 @@ MEANINGS = {
     "provenance.json": "Config, methods, options, machine and versions of an experiment",
     "needs.json": "Blocks of paired instances that each method needed",
     "overlays.json.gz": "Points and poses of the best, median and worst runs",
+    "config.yaml": "Config that repeats an experiment",
+    "REPEAT.md": "How to repeat and cite the experiments",
+    "CITATION.cff": "How to cite the benchmark",
 }
 
 
@@ -42,12 +49,19 @@ def describe(folder: Path, facts: Mapping[str, Any]) -> None:
             name = path.relative_to(folder).as_posix()
             properties = {
                 "name": name,
-                "description": MEANINGS.get(path.name, "Table of the study of bounds"),
-                "encodingFormat": FORMATS[path.suffix],
+                "description": _meaning(name),
+                "encodingFormat": FORMATS.get(path.suffix, "application/octet-stream"),
                 "contentSize": str(path.stat().st_size),
             }
             crate.add_file(str(path), dest_path=name, properties=properties)
     crate.metadata.write(folder)
+
+
+def _meaning(name: str) -> str:
+    if meaning := MEANINGS.get(PurePosixPath(name).name):
+        return meaning
+    is_code = {"baselines", "data", "packages"} & set(PurePosixPath(name).parts)
+    return "Code or card of a method or dataset" if is_code else "Table of the study of bounds"
 
 
 def check(folder: Path) -> None:

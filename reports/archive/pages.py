@@ -9,6 +9,7 @@ from pathlib import Path
 from reports import claims, paper_page, templating
 from reports.archive import read
 from reports.build import build as build_report
+from reports.history import page as history_page
 
 HERE = Path(__file__).parents[1]
 
@@ -31,6 +32,7 @@ def build(archive: str, out: Path, sha256: str = "") -> Path:
         reports = [pool.submit(build_report, *each) for each in zip(places, pages, strict=True)]
         figures = pool.submit(paper_page.build, out / "figures", [out])
         claims.check([out], out / "claims")
+        history_page.build(out / "history")
         for report in reports:
             report.result()
         figures.result()

@@ -5,13 +5,16 @@ from __future__ import annotations
 import gzip
 import json
 import shutil
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from dcreg.files import whole_file
 from reports.archive.crate import describe
+from reports.archive.sources import write_readme, write_sources
 from reports.ledger.evidence import STUDY
 from reports.tables import ReportError, Tables, thin_trace
 from workflows import CHECKOUT, provenance, records
@@ -56,7 +59,12 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
     for place in folders:
         if place.name == STUDY:
             _write_study(place, part / STUDY)
+    added = {
+        each.experiment: write_sources(each, part / "experiments" / each.experiment)
+        for each in tables
+    }
     facts = _facts(tables, version)
+    write_readme(added, version, facts["git"]["commit"], part)
     (part / "archive.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
     describe(part, facts)
     _write_checksums(part)
@@ -152,3 +160,15 @@ def _write_checksums(out: Path) -> None:
     files = sorted(path for path in out.rglob("*") if path.is_file())
     lines = [f"{digest(path)}  {path.relative_to(out).as_posix()}\n" for path in files]
     (out / CHECKSUMS).write_text("".join(lines), encoding="utf-8")
+
+
+def pack(folder: Path) -> Path:
+    """Write an archive to a zip file next to it, the same bytes for the same files; return the file."""
+    path = folder.with_name(f"{folder.name}.zip")
+    with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as packed:
+        for file in sorted(each for each in folder.rglob("*") if each.is_file()):
+            name = f"{folder.name}/{file.relative_to(folder).as_posix()}"
+            entry = zipfile.ZipInfo(name)  # of 1980
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            packed.writestr(entry, file.read_bytes())
+    return path

@@ -370,6 +370,8 @@ const chips = $$("[data-toggle-method]");
 function showMethods() {
   for (const chip of chips) chip.setAttribute("aria-pressed", String(!hidden.has(chip.dataset.toggleMethod)));
   $("#shown-methods").textContent = `${variableOf.size - hidden.size} of ${variableOf.size}`;
+  $("#hidden-note").hidden = !hidden.size;
+  for (const item of $$("main [data-method]")) item.hidden = hidden.has(item.dataset.method);
   $$("[data-filters]").forEach(filter);
   document.dispatchEvent(new Event("methods-changed"));
   redraw();
@@ -478,6 +480,10 @@ $$("[data-save]").forEach((button) => button.addEventListener("click", async () 
 }));
 
 // ---- where we are ------------------------------------------------------------------------------
+
+new ResizeObserver(([{ target }]) => {
+  if (!$(".methods").open) root.style.setProperty("--top", `${target.offsetHeight}px`);
+}).observe($(".top"));
 
 const links = new Map($$("nav a").map((link) => [link.hash.slice(1), link]));
 const here = new IntersectionObserver((entries) => {

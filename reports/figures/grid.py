@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 _ROW_PX, _GAP_PX, _TOP_PX, _BOTTOM_PX = 190, 34, 50, 52
-_NARROW_ROW_PX, _NARROW_GAP_PX = 170, 58
+_NARROW_ROW_PX, _NARROW_GAP_PX = 170, 68
 
 
 @dataclass
@@ -84,7 +84,7 @@ class Grid:
         row_px = _NARROW_ROW_PX * self.row_px // _ROW_PX
         height = _TOP_PX + count * row_px + (count - 1) * _NARROW_GAP_PX + _BOTTOM_PX
         inner = height - _TOP_PX - _BOTTOM_PX
-        layout: dict[str, Any] = {"height": height, "margin": _margin(56), "annotations": []}
+        layout: dict[str, Any] = {"height": height, "margin": _margin(44), "annotations": []}
         seen: set[int] = set()
         for position, which in enumerate(order):
             panel = self.panels[which]
@@ -125,6 +125,7 @@ class Grid:
             "type": panel.y_type,
             "title": {"text": y_title, "standoff": 6},
             "showticklabels": show_y,
+            "automargin": "left",
         }
         if panel.y_from_zero:
             y_axis["rangemode"] = "tozero"

@@ -6,7 +6,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import claim_tables
 import numpy as np
 import pandas as pd
 
@@ -15,6 +14,7 @@ from reports.ledger.evidence import Evidence, Experiment
 from reports.ledger.finding import CHECKS, Source
 from reports.ledger.judging import judge_claim
 from reports.tables import Tables
+from tests.unit import claim_tables
 from workflows import records
 
 TRIALS = 30

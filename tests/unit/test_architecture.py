@@ -33,7 +33,7 @@ def test_import_contracts_are_kept():
 
 def test_library_imports_only_the_packages_that_it_requires():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    required = [*project["dependencies"], *project["optional-dependencies"]["cli"]]
+    required = [*project["dependencies"], *project["optional-dependencies"]["plot"]]
     known = {re.match(r"[\w-]+", line).group().replace("-", "_") for line in required}
     known |= {"llvmlite", "matplotlib", "seaborn"}  # of Numba; pictures for print, if installed
     graph = grimp.build_graph("dcreg", include_external_packages=True, cache_dir=None)

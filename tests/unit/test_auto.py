@@ -106,6 +106,23 @@ def test_a_certificate_is_kept_for_the_chosen_number(tmp_path):
     assert dcreg.verify(tmp_path / "proof.npz", source, target).accepted
 
 
+def test_a_choice_that_the_time_limit_cut_says_so(set_clock, monkeypatch):
+    clouds = CLOUDS["similarity2d"]
+
+    def poses(choice):
+        yield np.eye(3)
+        set_clock.now += 100.0
+
+    with monkeypatch.context() as patch:
+        patch.setattr(auto._Choice, "_poses", poses)
+        result = dcreg.register(*clouds, model="similarity2d", time_limit=20.0)
+    assert result.chosen_number.is_cut
+    assert "the time limit ended the comparison" in str(result)
+    assert any("time for the choice, 40% of" in line for line in result.warnings)
+    enough = dcreg.register(*clouds, model="similarity2d", node_limit=1)
+    assert not enough.chosen_number.is_cut
+
+
 def test_a_stopped_choice_still_gives_a_pose():
     options = dcreg.SolveOptions(listener=lambda event: True)
     result = dcreg.register(*CLOUDS["rigid3d"], model="rigid3d", options=options)
@@ -120,12 +137,19 @@ def test_a_stopped_choice_still_gives_a_pose():
         ({"max_rms": 0.1}, "n_inliers: max_rms needs a number of pairs"),
         ({"options": dcreg.SolveOptions(mode="paper")}, "mode 'paper' searches norms"),
         ({"options": dcreg.SolveOptions(bound="dc")}, "mode 'paper' searches norms"),
+        (
+            {"options": dcreg.SolveOptions(downsample=4000)},
+            "2,500 x 2,500 points are too many",
+        ),
         ({"n_inliers": "most"}, "n_inliers: 'most' is not a number; give a count, a fraction or"),
     ],
 )
 def test_what_cannot_work_is_refused_before_the_search(settings, words):
+    clouds, options = CLOUDS["rigid3d"], settings.get("options")
+    if options is not None and options.downsample:
+        clouds = [np.random.default_rng(0).random((2500, 3))] * 2
     with pytest.raises(InputError, match=words):
-        dcreg.register(*CLOUDS["rigid3d"], model="rigid3d", **settings)
+        dcreg.register(*clouds, model="rigid3d", **settings)
 
 
 def test_command_and_batch_choose_the_number(tmp_path):

@@ -214,6 +214,27 @@ def test_wrong_n_inliers_is_refused(tmp_path, case):
     refused(tmp_path, case, "exceeds the smaller cloud", n_inliers=99)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_messages_state_the_units_of_the_clouds(unit):
+    rng = np.random.default_rng(4)
+    source = unit * rng.random((8, 2))
+    target = source + unit * (3.0 + 0.05 * rng.standard_normal((8, 2)))
+    options = dcreg.SolveOptions(certificate=True)
+    result = dcreg.register(source, target, n_inliers=8, model="similarity2d", options=options)
+    made, value = result.certificate, f"{result.upper_bound:.6g}"[:-1]
+    report = verify(made, source, target)
+    assert f"[{result.lower_bound:.9g}, {result.upper_bound:.9g}]" in report.statement
+    assert f"attains {value}" in "\n".join(report.checks)
+    moved = verify(dataclasses.replace(made, theta=made.theta + 0.01), source, target)
+    assert f"upper_bound: {value}" in moved.reason
+    half = 0.5 * made.upper_bound
+    low = verify(dataclasses.replace(made, upper_bound=half, lower_bound=half), source, target)
+    assert f"the objective at theta is {value}" in low.reason
+    false = dataclasses.replace(made, leaf_bounds=made.leaf_bounds + made.upper_bound)
+    found = re.search(r"has the objective ([\d.]+), below", verify(false, source, target).reason)
+    assert 1.0 <= float(found[1]) / result.upper_bound <= 2.0
+
+
 def test_wrong_optimum_is_refused(tmp_path, case):
     certificate = case[0]
     refused(tmp_path, case, "upper_bound: ", theta=certificate.theta + 0.01)

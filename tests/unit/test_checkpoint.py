@@ -92,8 +92,14 @@ def test_a_search_stopped_by_boxes_continues_to_the_same_result(search, tmp_path
         found = solve(node_limit=stop, checkpoint=path, threads=1 + at % 2)
         assert found.status is Status.NODE_LIMIT
         assert stop <= found.n_nodes < expected.n_nodes
+    earlier_s = found.time_solve_s
+    assert found.time_earlier_s > 0.0
     found = solve(checkpoint=path)
     assert_same(found, expected)
+    assert expected.time_earlier_s == 0.0 < found.time_earlier_s < found.time_solve_s
+    assert found.time_earlier_s == pytest.approx(earlier_s, rel=0.5)
+    assert "s for the solve in all calls (" in str(found)
+    assert "in all calls" not in str(expected)
     changes = [
         [(each.n_nodes, each.lower_bound, each.upper_bound) for each in result.trace]
         for result in (found, expected)
@@ -224,7 +230,7 @@ def test_another_version_is_refused(stopped, monkeypatch):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"mode": "paper"}, "mode 'paper' of rigid3d .*; use mode 'full'"),
+        ({"mode": "paper"}, "mode 'paper' searches norms, .*; use mode 'full'"),
         ({"pose_range": dcreg.PoseRange(max_angle=20.0)}, "limits of angle or translation"),
         ({"checkpoint": "nowhere/a.npz"}, "no folder 'nowhere'; create it first"),
         ({"checkpoint": 3}, "3 is not a path"),

@@ -7,42 +7,13 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from record_fixture import N_RUNS, about, table
 from typer.testing import CliRunner
 
+from workflows import recording
 from workflows.__main__ import app
-from workflows.compare import CompareError, compare, judge_experiment, read_version, sign_test
-from workflows.records import SCHEMA_VERSION, recorded_columns
-
-N_RUNS = 20
-
-
-def table(rng: np.random.Generator, method: str = "dcreg") -> pd.DataFrame:
-    """A recorded version of one bounding method: certified runs, the last two at the time limit."""
-    runs = pd.DataFrame(
-        {
-            "run_id": [f"r{i}" for i in range(N_RUNS)],
-            "method": method,
-            "instance_id": [f"i{i}" for i in range(N_RUNS)],
-            "instance_digest": [f"d{i}" for i in range(N_RUNS)],
-            "n_inliers": 10,
-            "status": ["optimal"] * (N_RUNS - 2) + ["time_limit"] * 2,
-            "n_nodes": rng.integers(100, 1000, N_RUNS),
-            "n_assignments": rng.integers(1000, 10000, N_RUNS),
-            "gap": rng.random(N_RUNS),
-            "objective": rng.random(N_RUNS),
-            "rmse": rng.random(N_RUNS),
-            "success": True,
-            "bound_violation": 0.0,
-            "time_solve_s": 0.1 + rng.random(N_RUNS),
-            "machine_id": "m",
-        }
-    )
-    return runs.reindex(columns=list(recorded_columns()))
-
-
-def about(folder, version=SCHEMA_VERSION):
-    content = {"schema_version": version, "git": {"commit": "abc123"}}
-    (folder / "about.json").write_text(json.dumps(content))
+from workflows.compare import compare, judge_experiment, sign_test
+from workflows.records import SCHEMA_VERSION
 
 
 def verdicts(base: pd.DataFrame, head: pd.DataFrame) -> dict[str, str]:
@@ -61,9 +32,9 @@ def test_an_unchanged_version_has_no_finding(base):
 def test_a_record_with_an_additional_column_is_read(base, tmp_path):
     folder = tmp_path / "old" / "e"
     folder.mkdir(parents=True)
-    base.assign(n_bound_evals=base["n_nodes"]).to_csv(folder / "runs.csv", index=False)
+    base.assign(n_bound_evals=base["n_nodes"]).to_parquet(folder / recording.RUNS)
     about(folder)
-    old = read_version("old", tmp_path)["e"]
+    old = recording.read("old", tmp_path)["e"].runs
     assert set(verdicts(old, base).values()) == {"same"}
 
 
@@ -152,7 +123,7 @@ def test_a_bound_above_the_truth_is_a_regression(base):
 
 @pytest.mark.parametrize(
     ("status", "slower", "expected"),
-    [("node_limit", 1.0, "worse"), ("time_limit", 1.1, "unclear"), ("time_limit", 3.0, "worse")],
+    [("node_limit", 1.0, "worse"), ("time_limit", 1.1, "unclear"), ("time_limit", 3.0, "unclear")],
 )
 def test_a_lost_certificate_is_a_regression_unless_the_time_limit_may_explain_it(
     base, status, slower, expected
@@ -171,16 +142,26 @@ def test_times_compare_within_one_machine_and_never_fail(base):
     assert verdicts(base, elsewhere)["time_solve_s"] == "not compared"
 
 
+def test_a_busy_machine_is_not_a_slower_version(base, rng):
+    head = base.assign(time_solve_s=base["time_solve_s"] * rng.uniform(1.1, 1.7, N_RUNS))
+    assert verdicts(base, head)["time_solve_s"] == "unclear"
+
+
+def test_integrals_over_boxes_are_judged_as_quality(base):
+    head = base.assign(gap_integral_boxes=base["gap_integral_boxes"] * 1.1)
+    assert verdicts(base, head)["median gap integral"] == "worse"
+
+
 def test_other_content_of_an_instance_is_not_compared(base):
     head = base.assign(instance_digest="new", rmse=99.0)
     assert verdicts(base, head) == {"runs": "not compared"}
 
 
 def test_sign_test_needs_enough_evidence():
-    assert sign_test(0, 0) == "same"
-    assert sign_test(0, 3) == "unclear"
-    assert sign_test(0, 6) == "worse"
-    assert sign_test(9, 1) == "better"
+    assert sign_test(0, 0)[0] == "same"
+    assert sign_test(0, 3) == ("unclear", 0.25)
+    assert sign_test(0, 6)[0] == "worse"
+    assert sign_test(9, 1)[0] == "better"
 
 
 @pytest.fixture
@@ -193,7 +174,7 @@ def history(base, tmp_path):
     for version, runs in versions.items():
         folder = tmp_path / version / "demo"
         folder.mkdir(parents=True)
-        runs.to_csv(folder / "runs.csv", index=False)
+        runs.to_parquet(folder / recording.RUNS)
         about(folder, 3 if version == "old" else SCHEMA_VERSION)
     return tmp_path
 
@@ -202,7 +183,8 @@ def history(base, tmp_path):
     ("head", "code", "says"),
     [
         ("same", 0, "no regression"),
-        ("worse", 1, "1 regressions"),
+        ("worse", 1, "1 regression"),
+        ("", 2, "HEAD not given; use `make compare BASE=… HEAD=…`"),
         ("none", 2, "known: broken, elsewhere, old, same, v1, worse"),
         ("broken", 2, "column 'run_id' is missing"),
         ("elsewhere", 2, "share no instance"),
@@ -215,6 +197,47 @@ def test_exit_codes_for_ci(history, capfd, head, code, says):
     assert says in result.output + capfd.readouterr().err
 
 
+def test_lost_and_won_instances_are_named_everywhere(history, base, tmp_path, capfd):
+    head = base.copy()
+    head.loc[:7, "success"] = False
+    (tmp_path / "lost" / "demo").mkdir(parents=True)
+    head.to_parquet(tmp_path / "lost" / "demo" / recording.RUNS)
+    about(tmp_path / "lost" / "demo")
+    files = {"--json": tmp_path / "v.json", "--text": tmp_path / "v.md"}
+    options = [str(part) for option in files.items() for part in option]
+    arguments = ["compare", "v1", "lost", "--history", str(history), *options]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 1
+    names = [f"embedded fish noise 0.1 {trial}" for trial in range(8)]
+    shown = result.output + capfd.readouterr().out
+    assert ", ".join([*names[:5], "and 3 more"]) in " ".join(shown.replace("│", "").split())
+    found = json.loads(files["--json"].read_text())
+    (success,) = [row for row in found["verdicts"] if row["metric"] == "success"]
+    assert found["outcome"] == "regression"
+    assert (success["lost"], success["won"], success["verdict"]) == (names, [], "worse")
+    assert (success["unit"], success["better"]) == ("runs", "higher")
+    assert success["p_value"] == pytest.approx(2**-7)
+    text = files["--text"].read_text()
+    assert text.startswith("### ❌ v1 → lost: 1 regression\n")
+    assert f"- lost: {', '.join(names)}" in text
+
+
+@pytest.mark.parametrize(("factor", "code"), [(1.0, 0), (1.3, 1)])
+def test_times_measured_in_turn_decide_the_exit_code(history, tmp_path, rng, factor, code):
+    rows = [
+        {
+            "group": "rigid3d", "problem": "p", "repetition": repetition, "cpu_s_base": 1.0,
+            "cpu_s_head": factor * rng.uniform(0.98, 1.02), "n_nodes_base": 5, "n_nodes_head": 5,
+            "n_assignments_base": 7, "n_assignments_head": 7,
+        }
+        for repetition in range(10)
+    ]  # fmt: skip
+    pd.DataFrame(rows).to_csv(tmp_path / "times.csv", index=False)
+    times = ["--times", str(tmp_path / "times.csv")]
+    arguments = ["compare", "v1", "same", "--history", str(history), *times]
+    assert CliRunner().invoke(app, arguments).exit_code == code
+
+
 def test_an_empty_history_names_the_command_to_record(tmp_path):
-    with pytest.raises(CompareError, match="workflows record --version v1"):
+    with pytest.raises(recording.RecordError, match="make record VERSION=v1"):
         compare("v1", "v2", tmp_path)

@@ -17,6 +17,7 @@ from dcreg.driver.modes import find_mode
 from dcreg.driver.warm_up import warm_up_mode
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.families.rotation3d.space import Rotation3D
+from dcreg.jit import NEVER
 from dcreg.problem import InputError, Problem
 from dcreg.search import Budget, Tolerance
 from dcreg.status import Status
@@ -297,3 +298,30 @@ def test_a_sample_whose_pairs_determine_no_pose_is_refused(rng):
             model="similarity2d",
             options=dcreg.SolveOptions(downsample=5),
         )
+
+
+def test_many_rows_are_queried_in_an_order_of_places(rng, monkeypatch):
+    monkeypatch.setattr(sparse, "_MANY_ROWS", 200)
+    points, target = rng.random((500, 3)), rng.random((300, 3))
+    order = sparse._by_place(points)
+    assert sorted(order) == list(range(500))
+    steps = np.linalg.norm(np.diff(points[order], axis=0), axis=1)
+    assert steps.mean() < 0.7 * np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
+    columns, costs = sparse._near(sparse.tree_of(target), points, 1, NEVER)
+    squares = ((points[:, None] - target) ** 2).sum(axis=2)
+    np.testing.assert_array_equal(columns[:, 0], squares.argmin(axis=1))
+    np.testing.assert_allclose(costs[:, 0], squares.min(axis=1))
+
+
+def test_a_refinement_that_fails_leaves_the_pose_of_the_sample(rng, monkeypatch):
+    problem, T = nearly_registered(rng, 3000, 2100)
+    best = large.descend(problem, T, Budget()).T_target_source
+    worse = best.copy()
+    worse[:3, 3] += 0.2
+    monkeypatch.setattr(large, "_near_fit", lambda *_: worse)
+    monkeypatch.setattr(large, "_MAX_MATCHINGS", 1)
+    found = downsample._refined_large(problem, best, [], Budget(), None)
+    value, pose, pairs = min(found.poses, key=lambda each: each[0])
+    assert value <= found.before
+    np.testing.assert_array_equal(pose, best)
+    assert large.residual(problem, pose, pairs) == pytest.approx(value)

@@ -62,6 +62,17 @@ def test_candidates_need_a_dense_matrix():
     assert estimate(2500, 2500, candidates=half).peak_mb > 100 + estimate(2500, 2500).peak_mb
 
 
+def test_weights_and_further_numbers_of_pairs_need_more_memory():
+    x, y = clouds(1000, 1000, 2)
+    weights = dcreg.PointWeights(source=np.linspace(1.0, 2.0, 1000), distance=0.5)
+    plain = Problem(x, y, 0.8, "similarity2d")
+    weighted = Problem(x, y, 0.8, "similarity2d", weights=weights)
+    mode = find_mode("similarity2d", "paper")
+    peak = memory.estimated_memory(plain, plain, mode, None).peak_mb
+    assert memory.estimated_memory(weighted, weighted, mode, None).peak_mb > peak + 16
+    assert peak + 1 < memory.estimated_memory(plain, plain, mode, None, 9).peak_mb < peak + 10
+
+
 def test_a_problem_that_does_not_fit_is_refused_before_the_search(monkeypatch):
     monkeypatch.setattr(memory, "available_mb", lambda: 20.0)
     x, y = clouds(1500, 1400, 2)

@@ -169,6 +169,19 @@ def test_settings_that_alternatives_would_ignore_are_refused(given, words):
         dcreg.alternatives(SOURCE, TARGET, **KEYWORDS, **given)
 
 
+def test_messages_about_large_clouds_name_no_mode():
+    cloud = np.random.default_rng(0).random((2001, 3))
+    given = {"n_inliers": 0.5, "model": "rigid3d"}
+    words = "2,001 x 2,001 points are too many .*; give fewer points, such as keypoints"
+    with pytest.raises(dcreg.InputError, match=words):
+        dcreg.register(cloud, cloud, max_rms=0.1, **given)
+    options = dcreg.SolveOptions(downsample=3000, init=np.eye(4))
+    with pytest.raises(dcreg.InputError, match=r"init: 2,001 x .*; search a smaller sample"):
+        dcreg.register(cloud, cloud, options=options, **given)
+    with pytest.raises(dcreg.InputError, match="too many for a search for other poses"):
+        dcreg.alternatives(cloud, cloud, options=dcreg.SolveOptions(downsample=3000), **given)
+
+
 # --- a residual to decide, a range, an initial guess -----------------------------------------------
 
 

@@ -15,16 +15,19 @@ import numpy as np
 import pandas as pd
 import pytest
 from plotly.offline import get_plotlyjs
+from scipy.stats import binomtest
 
 from baselines import registry
 from dcreg.plot import packing
 from reports import page as pages
-from reports import standing, theme
+from reports import paired, standing, theme
 from reports.build import build
 from reports.figures import attribution, levels, printing, profile, standalone
 from reports.figures.figure import Figure
 from reports.ledger.judging import ledger
+from reports.pairs import pair_rows
 from reports.sections import figures, outcome
+from reports.sections import levels as levels_section
 from reports.sections.parameters import parameters
 from reports.tables import PENALTY, ReportError, Tables, counted_time, row_names, thin_trace
 from tests.unit import report_fixture
@@ -379,6 +382,40 @@ def test_the_outcome_names_the_best_methods(tables, styles):
         assert f" the highest success rate, {100 * share:.0f} %" in first
         assert all(styles[name].name in first for name in matrix.standing("best"))
         assert all(styles[name].name in second for name in matrix.standing("tied"))
+
+
+def test_two_methods_are_compared_on_the_instances_that_both_attempted(tables):
+    both = next(each for each in paired.comparisons(tables) if each["model"] == "rigid3d")
+    a, b = (both["methods"].index(name) for name in ("dcreg-full", "fgr"))
+    runs = attempted(tables.runs[tables.runs["model"] == "rigid3d"])
+    right = runs.pivot(index="instance_id", columns="method", values="success").astype(bool)
+    one, other = right["dcreg-full"], right["fgr"]
+    won, lost = int((one & ~other).sum()), int((~one & other).sum())
+    assert won > lost
+    p_value = binomtest(won, won + lost).pvalue
+    assert both["counts"]["right"][a][b] == [won, len(right) - won - lost, lost, p_value]
+    assert both["counts"]["right"][b][a] == [lost, len(right) - won - lost, won, p_value]
+    # a run without a pose has the worst RMSE, and times count where both are right
+    failed = int(runs[runs["method"] == "fgr"]["rmse"].isna().sum())
+    assert failed
+    assert both["counts"]["rmse"][a][b][0] >= failed
+    assert sum(both["counts"]["time"][a][b][:3]) == int((one & other).sum())
+    assert both["runs"][b]["right"] == list(right["fgr"][pd.unique(runs["instance_id"])])
+
+
+def test_own_pairs_have_a_row_per_method_the_best_first(tables):
+    own = dataclasses.replace(tables, runs=tables.runs.assign(test="pair"))
+    rows = pair_rows(own)
+    assert len(rows) == len(attempted(tables.runs))
+    assert {row["verdict"] for row in rows} == {"right", "wrong", "no pose"}
+    assert {row["certificate"] for row in rows} >= {"", "optimal: similarity pose"}
+    for _, pair in itertools.groupby(rows, lambda row: (row["model"], row["shape"])):
+        ranked = [(row["verdict"] != "right", row["rmse"]) for row in pair]
+        known = [each for each in ranked if each[1] == each[1]]
+        assert known == sorted(known)
+    page = pages.Page(own, {}, Path())
+    assert levels_section.context(page) is None
+    assert pair_rows(tables) == []
 
 
 def test_curves_over_time_end_at_the_success_rate(tables, styles):

@@ -75,3 +75,13 @@ def test_samples_of_a_part_and_the_whole_have_the_pairs_of_the_smaller_share(rng
     assert sampled_pairs(300, clouds, samples) == 150
     assert sampled_pairs(300, clouds[::-1], samples[::-1]) == 150
     assert sampled_pairs(1, clouds, [whole[:3], whole[:3]]) == 1
+
+
+def test_a_sample_that_is_too_large_for_farthest_points_is_drawn_at_random(rng, monkeypatch):
+    points = np.concatenate([surface(rng, 500), [[50.0, 0.0, 0.0]]])
+    monkeypatch.setattr(geometry, "_MAX_DISTANCES", 100_000)
+    monkeypatch.setattr(geometry, "farthest_points", lambda points, count: np.arange(count) + 100)
+    taken = representative_points(points, 300)
+    assert len(np.unique(taken)) == 300
+    assert taken.min() < 100 < taken.max() < 500  # without the outlier
+    assert representative_points(points, 100).min() >= 100  # few are farthest points

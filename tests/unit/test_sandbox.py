@@ -72,6 +72,14 @@ def test_a_fault_becomes_its_status_and_the_rest_completes(faulty, n_points, sta
     assert (faulty_run.get("T_target_source") is None) == (status == "failed")
 
 
+def test_a_search_reports_what_it_has_proven_at_most_once_a_second(faulty, monkeypatch):
+    heard = []
+    faulty.prepare(instance(10))
+    monkeypatch.setattr(faulty._worker, "watch", heard.append)
+    assert faulty.solve(instance(32))["status"] == "converged"
+    assert [proven for proven in heard if proven is not None] == [0.25]
+
+
 @pytest.mark.parametrize(
     ("fault", "mark"), [("crashes_once", "crashed"), ("stops_once", "stopped")]
 )

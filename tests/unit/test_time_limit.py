@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -27,6 +28,7 @@ from dcreg.search import (
     Evaluation,
     Interrupted,
     LongestEdge,
+    Outcome,
     Tolerance,
     branch_and_bound,
 )
@@ -213,6 +215,49 @@ def test_norms_of_large_clouds_see_the_stop_flag():
     stop_flag[0] = 0
     space.objectives(thetas, values)
     assert values == pytest.approx([space.objective(theta)[0] for theta in thetas])
+
+
+def test_norms_of_many_points_are_matched_for_one_translation_at_once(monkeypatch):
+    """A look at the stop flag between the translations: eight at once take seconds of large clouds."""
+
+    class Soon:
+        looks = 0
+
+        def __getitem__(self, at):
+            self.looks += 1
+            return self.looks > 2
+
+    space = Translation3D(*pair_of_clouds(21_000, 3), 15_000)
+    monkeypatch.setattr(Translation3D, "stop_flag", Soon())
+    values = np.full(COLUMNS, np.nan)
+    space.objectives(np.zeros((COLUMNS, 3)), values)
+    assert np.isfinite(values).tolist() == [True] * 2 + [False] * (COLUMNS - 2)
+
+
+@pytest.mark.parametrize(("size", "seconds"), [(50_000, 4.0), (1_000_000, 1.25), (500, 5.0)])
+def test_the_searches_leave_time_to_match_large_clouds(size, seconds):
+    cloud, budget = np.broadcast_to(0.0, (size, 3)), Budget(5.0)
+    problem = SimpleNamespace(budget=budget, source=cloud, target=cloud)
+    searching = modes.before_matching(modes.find_mode("rigid3d", "paper"), problem)
+    assert searching.left() == pytest.approx(seconds, abs=0.1)
+    assert (searching.stop is budget.stop) == (size == 500)
+
+
+def test_a_stage_that_is_followed_by_another_one_has_its_own_end(monkeypatch):
+    ends = {}
+
+    def stop(mode, problem, space, theta, budget, solution):
+        ends["rotation"] = budget
+        raise RuntimeError("ended")
+
+    monkeypatch.setattr(modes, "recover_pose", stop)
+    found = Outcome(Status.OPTIMAL, np.zeros(3), 0.0, 0.0, 0, 0, 0.0)
+    monkeypatch.setattr(
+        modes, "minimise", lambda *given, **_: ends.update(search=given[2]) or found
+    )
+    with pytest.raises(RuntimeError, match="ended"):
+        register(*pair_of_clouds(20, 3), n_inliers=0.5, model="rigid3d", mode="paper", time_limit=9)
+    assert ends["search"].stop is not ends["rotation"].stop
 
 
 def test_kernels_of_a_stage_are_stopped_at_its_end(set_clock):

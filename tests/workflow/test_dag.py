@@ -197,6 +197,31 @@ def test_the_whole_path_leads_to_complete_tables(checkout):
     assert "tiny" in report
 
 
+def test_snakemakes_own_report_has_captions_and_needs_no_network(checkout):
+    said = checkout.command("snakemake-report", "tiny")
+    path = checkout.root / "results/tiny/snakemake-report.html"
+    assert said.startswith("report ")
+    text = path.read_text(encoding="utf-8")
+
+    def shown(name: str) -> dict:
+        script = rf'<script id="{name}">\s*var {name} = (.*);\s*</script>'
+        return json.loads(re.search(script, text)[1])
+
+    tables = {
+        name.removeprefix("results/tiny/"): result for name, result in shown("results").items()
+    }
+    assert set(tables) == {
+        "report/index.html", "tables/runs.parquet", "tables/accounting.csv",
+        "tables/provenance.json",
+    }  # fmt: skip
+    assert all(result["caption"] and result["labels"]["content"] for result in tables.values())
+    assert tables["report/index.html"]["labels"]["experiment"] == "tiny"
+    assert set(shown("categories")) == {
+        "Provenance", "Report", "Tables",
+    }  # fmt: skip
+    assert not re.search(r"<(script|link|img)[^>]*(src|href)=.?http", text)
+
+
 def test_a_run_of_an_archive_is_not_repeated(checkout, tmp_path):
     checkout.command("archive", "--version", "1", module="reports")
     run = ("run", "tiny", "--cores", "2", "--no-report", "--directory", str(tmp_path))

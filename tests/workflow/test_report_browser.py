@@ -2,88 +2,35 @@
 
 from __future__ import annotations
 
-import json
-import shutil
 import time
 
 import pytest
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-DRIVER = shutil.which("chromedriver")
+from tests.browsing import (
+    errors,
+    needs_browser,
+    open_page,
+    overprinted,
+    requests,
+    view,
+    wait,
+)
 
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(
-        not (CHROMIUM and DRIVER),
-        reason="chromium or chromedriver is missing: apt-get install chromium chromium-driver",
-    ),
-]
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for argument in (
-        "--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run",
-        "--disable-background-networking", "--disable-component-update", "--disable-sync",
-        "--enable-unsafe-swiftshader",  # 3D without a graphics card
-        f"--user-data-dir={tmp_path_factory.mktemp('profile')}",
-    ):  # fmt: skip
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
-    driver.set_script_timeout(60)
-    yield driver
-    driver.quit()
+pytestmark = needs_browser
 
 
 @pytest.fixture
 def page(browser, made_report):
     """The page freshly opened, wide and light; afterwards no error and no request was made."""
     view(browser, 1400, "light")
-    browser.get_log("performance")
-    browser.get_log("browser")
-    browser.get((made_report / "index.html").as_uri())
+    open_page(browser, made_report / "index.html")
     yield browser
-    errors = [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
-    assert errors == []
+    assert errors(browser) == []
     folder = made_report.as_uri()  # nothing but the page and its data
     assert requests(browser) <= {
         f"{folder}/index.html",
         *(f"{folder}/data/{path.name}" for path in (made_report / "data").iterdir()),
     }
-
-
-def view(browser, width: int, scheme: str) -> None:
-    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    media = {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
-
-
-def requests(browser) -> set[str]:
-    """Addresses asked for, apart from data inside the page."""
-    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    urls = {
-        message["params"]["request"]["url"]
-        for message in messages
-        if message["method"] == "Network.requestWillBeSent"
-    }
-    return {url for url in urls if not url.startswith(("data:", "blob:"))}
-
-
-def wait(browser, script: str, seconds: float = 60):
-    """The value of `script` once it is true."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if value := browser.execute_script(f"return {script}"):
-            return value
-        time.sleep(0.1)
-    raise AssertionError(f"still false after {seconds} s: {script}")
 
 
 def drawn(browser, figure: str) -> str:
@@ -140,6 +87,32 @@ def test_first_screen_is_the_outcome(page):
     assert "10 s per run" in page.find_element("css selector", ".run").text
     times = [float(value) for value in column(page, "outcomes", 8)]
     assert max(times) > 1.0  # limits and missing poses count twice the limit
+
+
+def test_two_methods_are_compared(page):
+    element = drawn(page, "versus")
+    both = page.execute_script("return payload('versus')")["comparisons"][1]
+    a, b = (both["methods"].index(name) for name in ("dcreg-full", "fgr"))
+    redrawn(page, element, "[data-for=versus][data-pick=model]", "c.value = '1'")
+    for side, place in (("a", a), ("b", b)):
+        chosen = f"c.value = '{both['methods'][place]}'"
+        redrawn(page, element, f"[data-for=versus][data-pick={side}]", chosen)
+    won, equal, lost, _ = both["counts"]["right"][a][b]
+    answer = page.find_element("css selector", "#versus-answer").text
+    assert answer.startswith(
+        f"On {won + equal + lost} instances, only DC-Reg [dcreg-full] is right on"
+    )
+    rows = page.execute_script("return $$('#versus-differ tbody tr').map(row => row.innerText)")
+    assert len(rows) == won + lost
+    links = page.execute_script("return $$('#versus-differ a').map(a => a.hash)")
+    runs = {f"#run={run}" for place in (a, b) for run in both["runs"][place]["run"]}
+    assert len(set(links)) == 2 * len(rows)
+    assert set(links) <= runs
+    before = page.execute_script(f"return {element}.dataset.drawn")
+    page.execute_script("$('#versus-swap').click()")
+    wait(page, f"{element}.dataset.drawn !== '{before}'")
+    assert column(page, "versus-counts", 1)[0] == str(lost)
+    assert column(page, "versus-counts", 3)[0] == str(won)
 
 
 def test_sorting_puts_missing_values_last_both_ways(page):
@@ -218,9 +191,16 @@ def test_a_method_is_hidden_everywhere(page):
     element = drawn(page, "levels-similarity2d")
     page.execute_script("document.querySelector('[data-toggle-method=icp]').click()")
     wait(page, f"!{element}.data.some(t => t.meta.method === 'icp')")
-    assert page.execute_script(
-        "return $$('#summary tr[data-method=icp], .card[data-method=icp]').every(r => r.hidden)"
-    )
+    for part in (
+        ".matrix", "#outcomes", "#accounting", "#summary", "#unfinished", "#attribution", ".cards",
+        ".method-cards",
+    ):  # fmt: skip
+        rows = page.execute_script(
+            "return $$(`${arguments[0]} [data-method=icp]`).map(row => row.hidden)", part
+        )
+        assert rows, part
+        assert all(rows), part
+    assert "totals" in page.find_element("css selector", "#hidden-note").text
     pressed = page.execute_script(
         "return $$('[data-toggle-method=icp]').map(c => c.getAttribute('aria-pressed'))"
     )
@@ -304,7 +284,13 @@ def test_phone_has_no_sideways_scroll_and_stacked_panels(page, scheme):
     assert all(domain == [0, 1] for domain in domains)
     height = page.execute_script(f"return [{element}.layout.height, {element}.clientHeight]")
     assert height[1] >= height[0] > 1000
-    page.execute_script("$$('details').forEach(d => { d.open = true; })")
+    assert overprinted(page) == []
+    page.execute_script("$$('main details').forEach(d => { d.open = true; })")
+    head = page.find_elements("css selector", "#outcomes thead button")[2]
+    assert head.is_displayed()  # the headings remain, to sort by
+    head.click()
+    values = [float(value) for value in column(page, "outcomes", 2)]
+    assert values == sorted(values)
     for table in ("outcomes", "accounting", "summary", "unfinished"):
         edges = page.execute_script(
             "return $$(`#${arguments[0]} td`).map(c => c.getBoundingClientRect().right)", table

@@ -96,10 +96,14 @@ def solve(problem: Problem, limit_s: float, folder: Path = ANSWERS) -> list[Answ
         new.append(default)
     proof = read_answer(folder / f"{problem.id}.proof.json")
     if proof is None or (not proof.checked_bound and proof.limit_s < limit_s):
-        proof, certificate = _timed(problem, PROVE, limit_s)
-        if certificate is not None and proof.lower_bound > 0.0:
-            dcreg.certificate.write(folder / f"{problem.id}.npz", certificate)
-            proof = _checked(problem, proof, folder / f"{problem.id}.npz", limit_s)
+        path = folder / f"{problem.id}.npz"
+        if proof is None or not _is_proven(proof):
+            proof, certificate = _timed(problem, PROVE, limit_s)
+            assert certificate is not None
+            dcreg.certificate.write(path, certificate)
+        proof = replace(proof, limit_s=limit_s)
+        if proof.lower_bound > 0.0:
+            proof = _checked(problem, proof, path, limit_s)
         _keep(proof, folder / f"{problem.id}.proof.json")
         new.append(proof)
     return new

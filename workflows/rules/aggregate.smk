@@ -5,9 +5,11 @@ rule aggregate:
         f"{VIEW}/metrics/metrics.parquet",
         [f"{OUT}/runs/{method}/{chunk}{kind}.parquet" for method, chunk in JOBS for kind in ("", ".trace")],
     output:
-        [f"{VIEW}/tables/{name}.parquet" for name in ("runs", "traces")],  # long ones have no copy as CSV
-        f"{VIEW}/tables/accounting.csv",
-        f"{VIEW}/tables/provenance.json",
+        # long ones have no copy as CSV
+        shown(f"{VIEW}/tables/runs.parquet", "runs", "Tables", "all runs"),
+        f"{VIEW}/tables/traces.parquet",
+        shown(f"{VIEW}/tables/accounting.csv", "accounting", "Tables", "planned runs and outcomes"),
+        shown(f"{VIEW}/tables/provenance.json", "provenance", "Provenance", "versions and config"),
         f"{VIEW}/tables/overlays.json",
         f"{VIEW}/tables/clouds.parquet",
     params:

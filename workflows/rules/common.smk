@@ -97,6 +97,15 @@ def solve_fingerprint(wildcards):
     return fingerprint(EXPERIMENT.method(wildcards.method).baseline)
 
 
+# An output as a result in Snakemake's own report: `make snakemake-report`.
+def shown(path, caption, category, content):
+    labels = {"experiment": EXPERIMENT.name, "part": Path(VIEW).name, "content": content}
+    if VIEW == OUT:
+        del labels["part"]
+    caption = str(Path(workflow.basedir) / "workflows" / "captions" / f"{caption}.rst")
+    return report(path, caption=caption, category=category, labels=labels)
+
+
 wildcard_constraints:
     chunk=r"[23]d-\d+-[0-9a-f]{6}",
     method=r"[A-Za-z0-9._+-]+",

@@ -1,4 +1,4 @@
-# Records the small tables of this experiment under a version: snakemake record --config version=v1
+# Records this experiment in reports/history under a version: snakemake record --config version=v1
 rule record:
     input:
         rules.aggregate.output,

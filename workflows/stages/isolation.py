@@ -36,7 +36,11 @@ THREAD_VARIABLES = (
     "NUMEXPR_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
 )
-RESULTS = ("results", "history", "reports/archive")  # in the checkout and in the working folder
+RESULTS = (
+    "results",
+    "reports/history",
+    "reports/archive",
+)  # in the checkout and in the working folder
 
 # Numbers of the system calls, the same on all architectures that Numba supports.
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from dcreg.assignment.kernels.line import line_value
 from dcreg.assignment.kernels.sorting import COLUMNS
 from dcreg.families.dc.kernels import objectives
 from dcreg.families.dc.space import FeatureSpace
@@ -15,7 +16,8 @@ from dcreg.families.translation3d.kernels.line import match_on_line, objectives_
 from dcreg.names import NORM_TRANSLATION
 from dcreg.search import Box
 
-_AT_ONCE = 20_000  # points, `COLUMNS` times: that takes hundredths of a second
+# Points, `COLUMNS` times: that takes hundredths of a second. More points are matched for one translation.
+_AT_ONCE = 20_000
 _STEPS = 20  # of the fit to one matching
 
 
@@ -74,20 +76,25 @@ class Translation3D(FeatureSpace):
         if not self._on_line:
             return super().objective(theta)
         self.check()
+        return match_on_line(self._moved_norms(theta), self.norms, self.n_inliers)
+
+    def _moved_norms(self, theta: np.ndarray) -> np.ndarray:
         x, y, z = (axis + shift for axis, shift in zip(self.clouds.source, theta, strict=True))
-        return match_on_line(np.sqrt(x * x + y * y + z * z), self.norms, self.n_inliers)
+        return np.asarray(np.sqrt(x * x + y * y + z * z))
 
     def objectives(self, thetas: np.ndarray, values: np.ndarray) -> int:
         if not self._on_line:
             return objectives(self.clouds, thetas, values)
-        size = COLUMNS * max(1, _AT_ONCE // self.n_source)
+        source, ordered, k = self.clouds.source, self._ordered, self.n_inliers
+        size = COLUMNS * (_AT_ONCE // self.n_source) or 1
         for at in range(0, len(thetas), size):
-            if self.stop_flag[0]:  # which the kernel ignores
+            if self.stop_flag[0]:  # which the kernels ignore
                 break
             part = slice(at, at + size)
-            objectives_on_line(
-                self.clouds.source, self._ordered, self.n_inliers, thetas[part], values[part]
-            )
+            if size > 1:
+                objectives_on_line(source, ordered, k, thetas[part], values[part])
+            else:
+                values[at] = line_value(np.sort(self._moved_norms(thetas[at])), ordered, k)
         return len(thetas)
 
     def score(self, seeds: np.ndarray) -> tuple[np.ndarray, int]:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from baselines.contract import Baseline, Instance, Limits, Solution
+from dcreg.search import Budget, Event
 from dcreg.status import Status
 
 UNLUCKY = 13
@@ -24,7 +25,7 @@ LATE_S = 0.6
 FAULTS = {
     20: "none", 21: "is_late", 22: "raises", 23: "hangs", 24: "bursts", 25: "exits",
     26: "is_killed", 27: "crashes", 28: "gives_no_pose", 29: "crosses_bounds", 30: "gives_up",
-    31: "gives_nan",
+    31: "gives_nan", 32: "searches",
 }  # fmt: skip
 
 
@@ -125,6 +126,12 @@ class Adapter(Baseline):
 
     def _gives_up(self, solution: Solution) -> Solution:
         return Solution(Status.TIME_LIMIT, None)
+
+    def _searches(self, solution: Solution) -> None:
+        """With two events of a search, one right after the other."""
+        for lower in (1.0, 2.0):
+            event = Event("bound", "search", 0.0, 1, 1, 1, lower_bound=lower, upper_bound=4.0)
+            Budget().report(event)
 
     def _gives_nan(self, solution: Solution) -> Solution:
         return Solution(Status.CONVERGED, solution.T_target_source * np.nan)

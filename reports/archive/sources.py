@@ -1,0 +1,96 @@
+"""The part of an archive that lets others run it again: configs, and the code of one's own methods."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from baselines import registry as methods
+from baselines.registry import BaselineError
+from data import registry as datasets
+from data.contract import DataError
+from reports.tables import Tables
+from workflows import CHECKOUT
+from workflows.config import search_next_to
+
+AGAIN = "-again"  # ends the name of a repeated experiment: results are stored by name
+CITATION = "CITATION.cff"
+README = "REPEAT.md"
+
+
+def write_sources(tables: Tables, out: Path) -> list[str]:
+    """Write the config of an experiment to `out`, and all code that this checkout does not have.
+
+    Methods and datasets lie next to the config, where `workflows.config.search_next_to` finds them.
+
+    Returns
+    -------
+    list of str
+        The methods, datasets and packages whose code was written, or why it could not be.
+    """
+    provenance = tables.provenance
+    if config_file := provenance.get("config_file"):
+        search_next_to(CHECKOUT / config_file)
+    config = {**provenance.get("config", {}), "name": f"{tables.experiment}{AGAIN}"}
+    text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
+    (out / "config.yaml").write_text(text, encoding="utf-8")
+    used = dict.fromkeys(method["baseline"] for method in provenance.get("methods", {}).values())
+    return [
+        *_copies(used, methods, "baselines", out),
+        *_copies(dict.fromkeys(tables.runs["dataset"]), datasets, "data", out),
+    ]
+
+
+def write_readme(experiments: dict[str, list[str]], version: str, commit: str, out: Path) -> None:
+    """Say how to repeat the experiments of an archive, and how to cite it."""
+    lines = [
+        f"# Results, version {version}",
+        "",
+        f"Made with commit {commit or 'unknown'} of the DC-Reg benchmark; `{CITATION}` says how to cite "
+        "it. `checksums.sha256` verifies all files.",
+        "",
+    ]
+    for name, added in experiments.items():
+        lines += [f"- `{name}`: `make run CONFIG=<this folder>/experiments/{name}/config.yaml`"]
+        lines += [f"  - {each}" for each in added]
+    (out / README).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    shutil.copyfile(CHECKOUT / CITATION, out / CITATION)
+
+
+def _copies(names: Iterable[str], registry: Any, kind: str, out: Path) -> Iterable[str]:
+    """Copy what lies outside of the checkout, or is one's own; yield a line for each."""
+    added = {plugin.name: plugin for plugin in registry.plugins(registry.GROUP)}
+    for name in names:
+        try:
+            if name in added:
+                package = added[name].package
+                _copy(package, out / "packages" / package.name)
+                yield f"{name}: {added[name].origin}, whose code is in `packages/{package.name}`"
+                continue
+            folder = (
+                methods.folder_of(name)
+                if registry is methods
+                else registry.dataset(name).card.folder
+            )
+        except (BaselineError, DataError) as error:
+            yield f"{name}: its code is not included: {error}"
+            continue
+        is_own = registry is methods and methods.read_card(name).provenance == "own"
+        if folder.parent != CHECKOUT / kind or is_own:
+            _copy(folder, out / kind / name)
+            yield f"{name}: in `{kind}/{name}`" + (
+                "" if registry is methods else " without the clouds that its card names"
+            )
+
+
+def _copy(place: Path, to: Path) -> None:
+    if place.is_dir():
+        ignored = shutil.ignore_patterns("__pycache__", "*.so", "source.*", "target.*")
+        shutil.copytree(place, to, ignore=ignored, dirs_exist_ok=True)
+    else:
+        to.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(place, to)

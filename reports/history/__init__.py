@@ -1,0 +1,1 @@
+"""The recorded versions (`workflows.recording`), a folder each, and the page that shows them."""

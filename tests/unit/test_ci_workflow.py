@@ -1,0 +1,49 @@
+"""The workflow of GitHub Actions: commands that exist, scripts that parse, pinned actions, few rights."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[2]
+CONTENT = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
+JOBS = CONTENT["jobs"]
+STEPS = [step for job in JOBS.values() for step in job["steps"]]
+SCRIPTS = [step["run"] for step in STEPS if "run" in step]
+KEYS = {"name", "if", "uses", "with", "run"}
+
+
+def test_it_runs_for_pull_requests_with_rights_to_read_only():
+    assert set(CONTENT[True]) == {"pull_request", "push"}  # YAML reads the key `on` as true
+    assert CONTENT["permissions"] == {"contents": "read"}
+    assert all(job["timeout-minutes"] <= 60 and job["runs-on"] for job in JOBS.values())
+
+
+@pytest.mark.parametrize("step", STEPS, ids=lambda step: step.get("name") or str(step)[:40])
+def test_a_step_uses_a_pinned_action_or_runs_a_script(step):
+    assert set(step) <= KEYS
+    assert ("uses" in step) != ("run" in step)
+    assert re.fullmatch(r"actions/[a-z-]+@v\d+", step.get("uses", "actions/checkout@v1"))
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_a_script_parses_and_calls_existing_targets(script):
+    subprocess.run(["bash", "-n"], input=script, text=True, check=True)
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.findall(r"^## ([a-z0-9-]+):", makefile, re.MULTILINE)) | {"dev"}
+    assert set(re.findall(r"\bmake ([a-z-]+)", script)) <= targets
+    for variable in re.findall(r" ([A-Z]+)=", script):
+        assert f"$({variable})" in makefile or f"$(if $({variable})" in makefile
+
+
+def test_it_runs_tests_benchmark_and_comparison():
+    called = " ".join(SCRIPTS)
+    for command in (
+        "make test",
+        "make bench QUICK=1",
+        "make compare BASE=",
+        "$GITHUB_STEP_SUMMARY",
+    ):
+        assert command in called

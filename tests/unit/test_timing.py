@@ -1,0 +1,78 @@
+"""Paired times: planted differences are found in noise, and noise alone is not a difference."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.bench import planted
+from tests.bench.interleaved import MINIMUM_OF, REPETITIONS
+from workflows.timing import FEWEST, hodges_lehmann, judge, judge_work
+
+
+def times(rng: np.random.Generator, factor: float) -> pd.DataFrame:
+    """Two problems, solved by both sides in turn while the load of the machine drifts.
+
+    One solve in ten is disturbed: it takes up to twice as long.
+    """
+    rows = []
+    for repetition in range(REPETITIONS):
+        load = 1 + 0.5 * rng.random()
+        for problem, seconds in (("a", 0.03), ("b", 0.05)):
+            noise = rng.uniform(1.0, 1.1, (MINIMUM_OF, 2))
+            disturbed = 1 + (rng.random((MINIMUM_OF, 2)) < 0.1) * rng.random((MINIMUM_OF, 2))
+            base, head = seconds * load * (noise * disturbed).min(axis=0)
+            rows.append(["rigid3d", problem, repetition, base, factor * head])
+    return pd.DataFrame(
+        rows, columns=["group", "problem", "repetition", "cpu_s_base", "cpu_s_head"]
+    )
+
+
+def found(factor: float, seed: int) -> str:
+    (timed,) = judge(times(np.random.default_rng(seed), factor))
+    return timed.verdict
+
+
+def test_a_slow_down_is_found_in_19_of_20_trials_and_noise_gives_at_most_one_alarm():
+    slower = [found(1.2, seed) for seed in range(20)]
+    unchanged = [found(1.0, 100 + seed) for seed in range(20)]
+    assert slower.count("slower") >= 19
+    assert unchanged.count("slower") <= 1
+    assert "faster" in {found(0.8, seed) for seed in range(3)}
+
+
+def test_the_interval_is_that_of_the_signed_rank_test():
+    logs = np.log([1.1, 1.2, 1.3, 1.4, 1.5, 1.8])
+    ratio = hodges_lehmann(logs)
+    assert ratio.low == pytest.approx(1.1)  # two-sided p is 2 / 2^6 < 0.05 < 4 / 2^6: the extremes
+    assert ratio.high == pytest.approx(1.8)
+    assert hodges_lehmann(logs[: FEWEST - 1]).verdict(1.05) == "unclear"
+
+
+def test_the_interval_of_many_pairs_covers_the_truth_and_shrinks():
+    draws = np.random.default_rng(0).normal(0.1, 0.1, (200, 60))
+    ratios = [hodges_lehmann(row) for row in draws]
+    covered = np.mean([ratio.low <= np.exp(0.1) <= ratio.high for ratio in ratios])
+    assert 0.9 <= covered <= 0.99
+    assert ratios[0].high / ratios[0].low < 1.12
+
+
+def test_one_box_more_in_one_problem_is_worse():
+    table = pd.DataFrame(
+        {
+            "problem": ["a", "b"],
+            **{f"n_nodes_{side}": [10, 20] for side in ("base", "head")},
+            **{f"n_assignments_{side}": [10, 20] for side in ("base", "head")},
+        }
+    )
+    assert [work.verdict for work in judge_work(table)] == ["same", "same"]
+    table.loc[1, "n_nodes_head"] += 1
+    nodes, _ = judge_work(table)
+    assert (nodes.verdict, nodes.differing) == ("worse", ("b",))
+
+
+def test_planted_changes_fit_the_sources(tmp_path):
+    for name, change in planted.CHANGES.items():
+        if change is not None:
+            source = (planted.ROOT / change.file).read_text(encoding="utf-8")
+            assert source.count(change.old) == 1, name
+            compile(source.replace(change.old, change.new), change.file, "exec")

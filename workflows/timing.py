@@ -1,0 +1,145 @@
+"""Verdicts on times: paired, robust, and only within one machine.
+
+`judge` takes the table of `tests.bench.interleaved`, in which two versions solve the same problems in
+turn, many times. The statistic of a repetition is the mean logarithm of the ratio head / base over the
+problems. Its Hodges-Lehmann estimate over the repetitions, with the interval of Wilcoxon's signed-rank
+test, is not moved by a few disturbed repetitions. A version is slower if the whole interval lies above
+`MARGIN`.
+
+`judge_once` takes times that were measured once per instance, at different moments. They contain the load
+of the machine, so only a factor of `ONCE_MARGIN` is a difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+COUNTERS = ("n_nodes", "n_assignments")
+CONFIDENCE = 0.95
+MARGIN = 1.05  # smaller differences between two processes have other causes, such as memory layout
+ONCE_MARGIN = 1.5
+FEWEST = 6  # with fewer pairs no interval of this confidence exists
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """Estimate and interval of a ratio of times head / base."""
+
+    estimate: float
+    low: float
+    high: float
+    pairs: int
+
+    def verdict(self, margin: float) -> str:
+        """Return ``slower``, ``faster``, ``same`` (the interval is within the margin) or ``unclear``."""
+        if self.low > margin:
+            return "slower"
+        if self.high < 1 / margin:
+            return "faster"
+        return "same" if self.low >= 1 / margin and self.high <= margin else "unclear"
+
+    def __str__(self) -> str:
+        return (
+            f"ratio {self.estimate:.3f} [{self.low:.3f}, {self.high:.3f}], "
+            f"{CONFIDENCE:.0%} interval of {self.pairs} pairs"
+        )
+
+
+@dataclass(frozen=True)
+class Timed:
+    """The verdict on repeated CPU times of one group of problems."""
+
+    group: str
+    base_s: float  # median over repetitions of the mean over problems
+    head_s: float
+    ratio: Ratio
+    noise: float  # typical relative difference of two repetitions of the base
+
+    @property
+    def verdict(self) -> str:
+        return self.ratio.verdict(MARGIN)
+
+    @property
+    def summary(self) -> str:
+        return f"{self.ratio}; noise of one repetition {self.noise:.1%}"
+
+
+def hodges_lehmann(logs: np.ndarray) -> Ratio:
+    """Return the ratio of which `logs` are paired logarithms, with its interval.
+
+    The estimate is the median of all means of two values. The interval inverts Wilcoxon's signed-rank
+    test; with fewer than `FEWEST` values it is unlimited.
+    """
+    n = len(logs)
+    one, other = np.triu_indices(n)
+    means = np.sort((logs[one] + logs[other]) / 2)
+    estimate = float(np.exp(np.median(means)))
+    if n < FEWEST:
+        return Ratio(estimate, 0.0, np.inf, n)
+    tail = _rank_below(n)
+    return Ratio(estimate, float(np.exp(means[tail])), float(np.exp(means[-1 - tail])), n)
+
+
+def _rank_below(n: int) -> int:
+    """Return how many of the sorted means lie outside on each side."""
+    if n > 50:
+        from scipy.stats import norm
+
+        spread = np.sqrt(n * (n + 1) * (2 * n + 1) / 24)
+        return max(0, int(n * (n + 1) / 4 + norm.ppf((1 - CONFIDENCE) / 2) * spread) - 1)
+    counts = np.ones(1)  # of subsets of the ranks 1 … n by their sum
+    for rank in range(1, n + 1):
+        counts = np.convolve(counts, np.r_[1.0, np.zeros(rank - 1), 1.0])
+    below = np.cumsum(counts / counts.sum())
+    return max(0, int(np.searchsorted(below, (1 - CONFIDENCE) / 2, side="right")) - 1)
+
+
+def judge(times: pd.DataFrame) -> Iterator[Timed]:
+    """Yield a verdict for each group of a table of repeated times."""
+    for group, part in times.dropna(subset="cpu_s_base").groupby("group", sort=False):
+        logs = np.log(part["cpu_s_head"] / part["cpu_s_base"])
+        by_repetition = logs.groupby(part["repetition"]).mean().to_numpy()
+        base = np.log(part["cpu_s_base"]).groupby(part["repetition"]).mean().to_numpy()
+        means = part.groupby("repetition")[["cpu_s_base", "cpu_s_head"]].mean().median()
+        yield Timed(
+            str(group),
+            float(means["cpu_s_base"]),
+            float(means["cpu_s_head"]),
+            hodges_lehmann(by_repetition),
+            float(np.expm1(np.median(np.abs(np.diff(base))))) if len(base) > 1 else np.nan,
+        )
+
+
+def judge_once(base: np.ndarray, head: np.ndarray) -> tuple[str, Ratio]:
+    """Return the verdict on times that were measured once per instance, and their ratio."""
+    ratio = hodges_lehmann(np.log(head) - np.log(base))
+    return ratio.verdict(ONCE_MARGIN), ratio
+
+
+@dataclass(frozen=True)
+class Work:
+    """The verdict on one counter of all problems of a table."""
+
+    counter: str
+    base: int
+    head: int
+    verdict: str  # same, better, worse, changed
+    differing: tuple[str, ...]  # problems
+
+
+def judge_work(times: pd.DataFrame, counters: Sequence[str] = COUNTERS) -> Iterator[Work]:
+    """Yield a verdict for each counter; the work of a solve must repeat exactly."""
+    first = times.drop_duplicates("problem")
+    for counter in counters:
+        old, new = first[f"{counter}_base"], first[f"{counter}_head"]
+        differs = old != new
+        change = int(new.sum() - old.sum())
+        word = "worse" if change > 0 else "better" if change < 0 else "changed"
+        yield Work(
+            counter, int(old.sum()), int(new.sum()), word if differs.any() else "same",
+            tuple(first.loc[differs, "problem"]),
+        )  # fmt: skip
