@@ -216,7 +216,8 @@ def _sides(name: str) -> tuple[str, str]:
 def _labels(pairs: pd.DataFrame) -> pd.Series:
     """Return what a reader needs to recognise the instances."""
     names = [f"{name}_base" for name in ("dataset", "shape", "test", "level", "trial")]
-    return pairs[names].astype(str).agg(" ".join, axis=1)
+    labels = [" ".join(map(str, row)) for row in pairs[names].itertuples(index=False)]
+    return pd.Series(labels, index=pairs.index, dtype=str)
 
 
 def sign_test(better: int, worse: int) -> tuple[str, float]:
