@@ -4,13 +4,9 @@ import pytest
 
 from data.library.problem import all_problems
 from reports.library.page import build
-from tests.workflow.test_report_browser import (
-    browser,  # noqa: F401 (a fixture)
-    pytestmark,  # noqa: F401
-    requests,
-    view,
-    wait,
-)
+from tests.browsing import needs_browser, requests, view, wait
+
+pytestmark = needs_browser
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +15,7 @@ def address(tmp_path_factory):
 
 
 @pytest.fixture
-def page(browser, address):  # noqa: F811
+def page(browser, address):
     """The page freshly opened, wide and light; afterwards no error and no request was made."""
     view(browser, 1400, "light")
     browser.get_log("performance")
