@@ -193,6 +193,8 @@ def _of_steady_runs(pairs: pd.DataFrame) -> Iterator[tuple[str, str, Judged]]:
     if steady.empty:
         return
     for metric in QUALITY:
+        if steady[[*_sides(metric)]].isna().all().any():
+            continue
         found = noted(_quality(steady, metric, METRICS[metric].worst))
         yield f"median {metric}", METRICS[metric].unit, found
     for kind in KINDS:

@@ -382,6 +382,11 @@ def test_methods_are_compared_with_the_best_on_common_instances(tables):
     assert [cell.standing for cell in both.values()] == ["best", "tied", "tied"]
 
 
+def test_the_first_sentence_says_what_was_run(tables):
+    said = "6 methods on 63 instances of demo, 3 tests in 2D and 3D: 378 planned runs."
+    assert outcome.what(tables) == said
+
+
 def test_the_outcome_names_the_best_methods(tables, styles):
     for matrix in standing.matrices(tables):
         text = outcome.sentence(matrix, styles)

@@ -160,7 +160,7 @@ def _checked(problem: Problem, answer: Answer, path: Path, limit_s: float) -> An
     check_s = time.process_time() - began
     if not report.accepted:
         return replace(answer, reason=report.reason, check_s=check_s)
-    return replace(answer, checked_bound=report.lower_bound, check_s=check_s)
+    return replace(answer, checked_bound=report.lower_bound, check_s=check_s, reason="")
 
 
 def _keep(answer: Answer, path: Path) -> None:
