@@ -1,5 +1,6 @@
 """The library of problems with proven optima: files, records, checks, submissions and solves."""
 
+import hashlib
 import json
 import shutil
 from dataclasses import replace
@@ -11,19 +12,15 @@ import pytest
 
 import dcreg
 from data.library import evaluate, matchings, record, submit
-from data.library.check import (
-    changed_files,
-    checksums,
-    faulty_poses,
-    faulty_proof,
-    sampled_proofs,
-)
+from data.library.check import faulty_poses, faulty_proof, sampled_proofs
 from data.library.problem import (
     HERE,
     PROBLEMS,
     LibraryError,
     Problem,
     all_problems,
+    changed_files,
+    checksums,
     find_problem,
     read_problem,
     write_problem,
@@ -279,7 +276,22 @@ def test_false_bounds_are_refused_with_the_reason(place):
     assert read_record(ONE.id, place).bounds == []
 
 
+def test_an_easier_problem_of_the_same_name_is_not_accepted(place, monkeypatch):
+    folder = place / "problems"
+    folder.mkdir()
+    easier = write_problem(ONE.model_copy(update={"n_inliers": 10}), folder)
+    with pytest.raises(LibraryError, match="no problem"):
+        submitted(place, **claim(np.eye(3), 1.0), problem=str(easier.with_suffix("")))
+    changed = {**checksums(), ONE.id: hashlib.sha256(easier.read_bytes()).hexdigest()}
+    monkeypatch.setattr(submit, "checksums", lambda: changed)
+    with pytest.raises(LibraryError, match="its file is changed; restore it"):
+        submitted(place, **claim(np.eye(3), 1.0))
+    assert len(read_record(ONE.id, place).entries) == 1
+
+
 def test_a_submission_says_what_is_wrong_with_it(place):
+    with pytest.raises(LibraryError, match=r"better_pose\.objective: Input should be a finite"):
+        submitted(place, **claim(RECORDS[ONE.id].best_pose.pose, np.inf))
     with pytest.raises(LibraryError, match="give at least one of them"):
         submitted(place)
     with pytest.raises(LibraryError, match=r"better_pose\.objective: Field required"):
