@@ -81,7 +81,7 @@ def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
     """Return the cell of each method.
 
     The same runs decide which method has the highest rate, so any two methods might have been compared.
-    The correction is therefore for all pairs of k methods: k / 2 times that for the k - 1 comparisons made.
+    The correction is therefore for all pairs of k methods: k / 2 times that for k - 1 comparisons.
     """
     right = runs.pivot_table(
         index="instance_id", columns="method", values="success", aggfunc="first"

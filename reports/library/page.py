@@ -19,8 +19,8 @@ HERE = Path(__file__).parents[1]
 SCRIPTS = (packing.UNPACK, HERE / "assets" / "library.js")
 WORDS = {
     "easy": "proven by default options within 60 s of processor time",
-    "hard": "proven with more effort",
-    "open": "not proven",
+    "hard": "proven with other options, in more time or by all matchings",
+    "open": "not proven so far; the view of the problem states the time tried",
 }
 BIBTEX = """@misc{{dcreg-library-{key},
   title = {{Problem {id} of the DC-Reg library of registration problems with proven optima}},

@@ -331,15 +331,18 @@ def test_verdicts_of_a_method():
             "proven": answer(best.pose, lower_bound=low, **scope),
             "solved": answer(best.pose),
             "missed": answer(far),
+            "too small": answer(np.diag([0.1, 0.1, 1.0])),
             "wrong": answer(far, lower_bound=low, **scope),
             "too high": answer(best.pose, lower_bound=1.1 * best.objective, **scope),
             "failed": {"status": "failed", "message": "no pose"},
         }.items()
     }
     found = {name: row["verdict"] for name, row in verdicts.items()}
-    assert found == {**{name: name for name in verdicts}, "too high": "wrong"}
+    assert found == {
+        **{name: name for name in verdicts}, "too high": "wrong", "too small": "missed",
+    }  # fmt: skip
     text = summary("method", pd.DataFrame(list(verdicts.values())), 1.0)
-    assert "solved: 0% in 0.1 s, 0% in 0.3 s, 33% in 1 s" in text
+    assert "solved: 0% in 0.1 s, 0% in 0.3 s, 29% in 1 s" in text
 
 
 def test_a_method_receives_neither_pose_nor_pairs():

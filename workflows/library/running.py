@@ -77,9 +77,9 @@ def judged(problem: Problem, answer: dict[str, Any]) -> dict[str, Any]:
     """Compare an answer with the best known pose and bound.
 
     The verdict is ``proven`` (the optimum, with the method's own closed bounds), ``solved`` (a pose that
-    the local search improves to within 1 % of the best known objective), ``missed`` (a worse pose),
-    ``wrong`` (a stated bound above the best known objective, or a worse pose stated to be optimal),
-    or the status of a run without a pose.
+    the local search improves to within 1 % of the best known objective), ``missed`` (a worse pose, or one
+    outside of the model), ``wrong`` (a stated bound above the best known objective, or a worse pose
+    stated to be optimal), or the status of a run without a pose.
     """
     record, status = read_record(problem.id), Status(answer["status"])
     row = {
@@ -93,7 +93,7 @@ def judged(problem: Problem, answer: dict[str, Any]) -> dict[str, Any]:
     try:
         pose = admissible(problem, answer["T_target_source"])
     except LibraryError as error:
-        return {**row, "verdict": "wrong", "note": str(error)}
+        return {**row, "verdict": "missed", "note": str(error)}
     stated = dcreg.Problem(*problem.clouds, **problem.keywords())
     value = evaluate(problem, admissible(problem, polish(stated, pose)[0]))
     lower, is_right = answer.get("lower_bound"), value <= RIGHT_GAP * record.objective
