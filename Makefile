@@ -224,6 +224,21 @@ timings: dev
 history: setup
 	@$(BIN)/python -m reports history
 
+## library: run a method on the library of problems with proven optima, SOLVER=name (LIMIT=10 seconds; PROBLEMS="tiny fish"); print its table
+.PHONY: library
+library: setup
+	@$(BIN)/python -m workflows.library run $(or $(SOLVER),dcreg) $(PROBLEMS) $(if $(LIMIT),--limit $(LIMIT))
+
+## library-check: check all poses of the library by two evaluators, and a sample of its proofs (ALL=1: every stored proof)
+.PHONY: library-check
+library-check: setup
+	@$(BIN)/python -m data.library check $(if $(ALL),--all)
+
+## library-page: build the page of the library in results/library/page
+.PHONY: library-page
+library-page: setup
+	@$(BIN)/python -m reports library
+
 ## lock: remake the lock files with the hashes of their versions (needs a network)
 .PHONY: lock
 lock: $(VENV)-tools/.installed
