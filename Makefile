@@ -97,7 +97,7 @@ publish: setup
 report: setup
 	@$(BIN)/python -m reports archived $(ARCHIVE) $(if $(SHA256),--sha256 $(SHA256))
 
-## replay: repeat a stored run, RUN=run_id, and compare (RESULTS=folder; BOXES=1: a page with the boxes of its search)
+## replay: repeat a stored run, RUN=run_id, and compare (RESULTS=folder of its results; BOXES=1: draw its boxes)
 .PHONY: replay
 replay: setup
 	@$(BIN)/python -m $(if $(BOXES),reports boxes,workflows replay) $(RUN) $(if $(RESULTS),--results $(RESULTS))
@@ -112,10 +112,15 @@ plan: setup
 baselines: setup
 	@$(BIN)/python -m workflows baselines
 
-## new-baseline: create a method from the template, NAME=name
+## new-baseline: create a method from the template, NAME=name (IN=folder: outside of the checkout)
 .PHONY: new-baseline
 new-baseline: setup
-	@$(BIN)/python -m workflows new-baseline $(NAME)
+	@$(BIN)/python -m workflows new-baseline $(NAME) $(if $(IN),--in $(IN))
+
+## check: check methods against the contract, METHOD=name, folder or package
+.PHONY: check
+check: setup
+	@$(BIN)/python -m baselines.check $(METHOD)
 
 ## bench: compare the solver with its performance targets, tables in results/bench (QUICK=1: a few seconds)
 .PHONY: bench
@@ -289,7 +294,7 @@ $(VENV)/.installed: requirements.lock pyproject.toml
 	@workflows/setup.sh $(VENV) $(PYTHON) $(SYSTEM_PACKAGES)
 	@touch $@
 
-# Tools for tests, style and manual; `make demo` does not need them.
+## dev: install the tools for tests, style and manual, which `make demo` does not need (done by every target that needs them)
 .PHONY: dev
 dev: setup $(VENV)/.dev
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from dcreg.plot import packing
 from reports import sections, templating, theme
-from reports.page import Page
+from reports.page import Page, write_data
 from reports.tables import Tables
 from workflows.discovery import modules
 
 HERE = Path(__file__).parent
+WHOLE = "whole.html"  # the same page in one file, to be sent or to be part of another report
 # The first one is needed by the others.
 SCRIPTS, STYLES = ("report.js", "versus.js", "runs.js", "run.js"), ("report.css", "runs.css")
 
@@ -25,7 +28,7 @@ def build(tables_dir: Path, out: Path) -> None:
         ``results/<experiment>/tables``.
     out : Path
         The HTML file; ``data/`` in its folder has what the page loads on demand, ``figures/`` the static
-        figures.
+        figures, and `WHOLE` is the page with its data in one file.
 
     Raises
     ------
@@ -39,11 +42,15 @@ def build(tables_dir: Path, out: Path) -> None:
     found = ((part, part.context(page)) for part in order)
     parts = [(part, context) for part, context in found if context is not None]
     out.parent.mkdir(parents=True, exist_ok=True)
-    page.write_data(out.parent)
-    out.write_text(_render(page, parts), encoding="utf-8")
+    data = page.packed()
+    write_data(data, out.parent)
+    render = _renderer(page, parts)
+    out.write_text(render(inside={}), encoding="utf-8")
+    out.with_name(WHOLE).write_text(render(inside=data), encoding="utf-8")
 
 
-def _render(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> str:
+def _renderer(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> Callable[..., str]:
+    """Return a function that renders the page with data `inside` it, by name."""
     environment = templating.environment()
     environment.filters |= {
         "number": theme.number,
@@ -63,7 +70,8 @@ def _render(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> str:
         }
         for part, context in parts
     ]
-    return environment.get_template("page.html").render(
+    return functools.partial(
+        environment.get_template("page.html").render,
         sections=bodies,
         css="\n".join(map(_asset, STYLES)),
         variables=theme.css_variables(page.styles.values()),

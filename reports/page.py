@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -27,6 +27,7 @@ class Download:
     size: int
 
 
+MOST_PRINTED = 50  # methods of a figure for print
 MOST_FILES = 100  # of data, next to a page
 DATA = "data"  # their folder
 
@@ -66,8 +67,13 @@ class Page:
     def add_print(
         self, figure: Figure, view: str, roles: Collection[str], name: str, text: str
     ) -> list[Download]:
-        """Add a view of a figure as SVG and PDF, both as files next to the page and as downloads."""
+        """Add a view of a figure as SVG and PDF, both as files next to the page and as downloads.
+
+        Without files for more than `MOST_PRINTED` methods: nobody could tell their lines apart.
+        """
         assert figure.grid is not None
+        if len(self.styles) > MOST_PRINTED:
+            return []
         drawing = printing.draw(
             figure.payload["views"][view]["data"], figure.grid, self.styles,
             f"{self.tables.experiment}: {text}", roles, photographs=figure.photographs,
@@ -83,19 +89,22 @@ class Page:
         self.data[f"file-{name}"] = packing.pack(content)
         return download
 
-    def write_data(self, folder: Path) -> None:
-        """Write data, figures and plotly.js to ``folder/data``, in place of earlier files."""
+    def packed(self) -> dict[str, str]:
+        """Return all data of the page, figures and plotly.js, packed."""
         figures = {f"figure-{name}": pack_json(one.payload) for name, one in self.figures.items()}
-        data = {**self.data, **figures, "plotly": packing.packed_plotly()}
-        names = sorted(data)
-        assert len(names) <= MOST_FILES
-        assert all(re.fullmatch(r"[\w.-]+", name) for name in names)
-        place = folder / DATA
-        place.mkdir(parents=True, exist_ok=True)
-        for path in place.glob("*.js"):
-            path.unlink()
-        for name in names:
-            (place / f"{name}.js").write_text(f'store("{name}", "{data[name]}");\n', "ascii")
+        return {**self.data, **figures, "plotly": packing.packed_plotly()}
+
+
+def write_data(packed: Mapping[str, str], folder: Path) -> None:
+    """Write packed data to ``folder/data``, in place of earlier files."""
+    assert len(packed) <= MOST_FILES
+    assert all(re.fullmatch(r"[\w.-]+", name) for name in packed)
+    place = folder / DATA
+    place.mkdir(parents=True, exist_ok=True)
+    for path in place.glob("*.js"):
+        path.unlink()
+    for name, text in packed.items():
+        (place / f"{name}.js").write_text(f'store("{name}", "{text}");\n', "ascii")
 
 
 def pack_json(value: Any) -> str:

@@ -84,11 +84,6 @@ def _counts(
     known = ~np.isnan(values)
     shared = known.T.astype(int) @ known.astype(int)
     wins = np.array([is_better(values[:, [i]], values).sum(axis=0) for i in range(values.shape[1])])
-    return [
-        [
-            [int(won), int(shared[i, j] - won - wins[j, i]), int(wins[j, i]),
-             exact_p(int(won), int(wins[j, i]))]
-            for j, won in enumerate(row)
-        ]
-        for i, row in enumerate(wins)
-    ]  # fmt: skip
+    ties = shared - wins - wins.T
+    cells = np.stack([wins, ties, wins.T, exact_p(wins, wins.T)], axis=-1)
+    return cells.tolist()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
+import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
+from numpy.typing import ArrayLike
+from scipy.stats import binom
 
 from reports.ledger.intervals import holm
 from reports.tables import Tables, is_right, share_interval
@@ -107,12 +108,15 @@ def _p_value(best: pd.Series, other: pd.Series) -> float:
     """Return the p-value of McNemar's exact test, one-sided, on the instances that both attempted."""
     both = best.notna() & other.notna()
     best, other = best[both].astype(bool), other[both].astype(bool)
-    return exact_p(int((best & ~other).sum()), int((~best & other).sum()), "greater")
+    return float(exact_p((best & ~other).sum(), (~best & other).sum(), one_sided=True))
 
 
-@lru_cache(maxsize=4096)
-def exact_p(wins: int, losses: int, alternative: str = "two-sided") -> float:
-    """Return the p-value of the exact sign test; of right and wrong poses, it is McNemar's test."""
-    if wins + losses == 0:
-        return 1.0
-    return float(binomtest(wins, wins + losses, alternative=alternative).pvalue)
+def exact_p(wins: ArrayLike, losses: ArrayLike, *, one_sided: bool = False) -> np.ndarray:
+    """Return p-values of the exact sign test; of right and wrong poses, it is McNemar's test.
+
+    One-sided, the alternative is that wins are more likely than losses.
+    """
+    wins, total = np.asarray(wins), np.add(wins, losses)
+    if one_sided:
+        return binom.sf(wins - 1, total, 0.5)
+    return np.minimum(1.0, 2.0 * binom.cdf(np.minimum(wins, losses), total, 0.5))

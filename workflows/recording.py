@@ -34,6 +34,7 @@ _COPIED = (
     "created",
     "commands",
 )
+_REQUIRED = ("rmse", "objective", "success")  # metrics that every record has
 
 
 class RecordError(UserError):
@@ -175,10 +176,11 @@ def _read(path: Path) -> Record:
         table = pd.read_parquet(path)
     except (OSError, ValueError) as error:  # of PyArrow, for a damaged file
         raise RecordError(f"{path}: not a readable table ({error}); record it again") from error
-    missing = [column for column in columns() if column not in table]
-    if missing:
+    known = records.PLAN | records.RAW
+    required = [name for name, column in known.items() if column.recorded] + list(_REQUIRED)
+    if missing := [name for name in required if name not in table]:
         raise RecordError(f"{path}: column {missing[0]!r} is missing; record it again")
-    return Record(table, about)
+    return Record(table.reindex(columns=list(columns())), about)  # later metrics are empty
 
 
 def _about(path: Path) -> dict[str, Any]:

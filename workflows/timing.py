@@ -20,8 +20,9 @@ import pandas as pd
 
 COUNTERS = ("n_nodes", "n_assignments")
 CONFIDENCE = 0.95
-MARGIN = 1.05  # smaller differences between two processes have other causes, such as memory layout
+MARGIN = 1.02  # smaller differences between two processes have other causes, such as memory layout
 ONCE_MARGIN = 1.5
+PRECISION = 0.03  # half width of an interval, as a share, at which repetitions end
 FEWEST = 6  # with fewer pairs no interval of this confidence exists
 
 
@@ -101,9 +102,10 @@ def _rank_below(n: int) -> int:
 def judge(times: pd.DataFrame) -> Iterator[Timed]:
     """Yield a verdict for each group of a table of repeated times."""
     for group, part in times.dropna(subset="cpu_s_base").groupby("group", sort=False):
-        logs = np.log(part["cpu_s_head"] / part["cpu_s_base"])
-        by_repetition = logs.groupby(part["repetition"]).mean().to_numpy()
-        base = np.log(part["cpu_s_base"]).groupby(part["repetition"]).mean().to_numpy()
+        sides = part[["cpu_s_base", "cpu_s_head"]].apply(np.log)
+        logs = sides.groupby(part["repetition"]).mean()
+        base = logs["cpu_s_base"].to_numpy()
+        by_repetition = logs["cpu_s_head"].to_numpy() - base
         means = part.groupby("repetition")[["cpu_s_base", "cpu_s_head"]].mean().median()
         yield Timed(
             str(group),
@@ -112,6 +114,12 @@ def judge(times: pd.DataFrame) -> Iterator[Timed]:
             hodges_lehmann(by_repetition),
             float(np.expm1(np.median(np.abs(np.diff(base))))) if len(base) > 1 else np.nan,
         )
+
+
+def is_precise(times: pd.DataFrame) -> bool:
+    """Tell whether more repetitions are of little use, because all intervals are narrow."""
+    ratios = [timed.ratio for timed in judge(times)]
+    return all(ratio.high <= ratio.low * (1 + PRECISION) ** 2 for ratio in ratios)
 
 
 def judge_once(base: np.ndarray, head: np.ndarray) -> tuple[str, Ratio]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from dcreg.certificate.objective import Objective
 
 TANGENT_STEPS = 10  # attempts to find a better tangent point
 REFUTE_EVERY = 3  # bisections between two attempts to refute a bound that is not proven
+FEW_LEAVES = 48  # of a part that are compared with each other, which is faster than to cut it
 # Coordinates are equal if they differ by less than this fraction of the start box, or of the clouds if
 # those are smaller.
 SAME = 1e-12
@@ -33,9 +35,10 @@ def check_partition(
 ) -> None:
     """Check that the leaves are a partition of the start box: no gap, no overlap, nothing outside.
 
-    The box is cut between leaves, and its parts again, until each part is one leaf. This works for every
-    partition made by bisection. If no plane divides a part, its leaves overlap; if a single leaf does not
-    fill its part, there is a gap.
+    The box is cut between leaves, and its parts again, until each part has few leaves. These are a
+    partition of it if they lie in it, are disjoint, and have as many cells of the grid together. If not,
+    the part is cut further to name a leaf. This works for every partition made by bisection. If no plane
+    divides a part, its leaves overlap; if a single leaf does not fill its part, there is a gap.
 
     Parameters
     ----------
@@ -63,6 +66,8 @@ def check_partition(
     parts = [(grid.first, grid.last, np.arange(len(lower)))]
     while parts:
         first, last, leaves = parts.pop()
+        if len(leaves) <= FEW_LEAVES and _are_partition(grid, first, last, leaves, wide):
+            continue
         if len(leaves) == 1:
             leaf = leaves[0]
             if (grid.low[leaf] != first).any() or (grid.high[leaf] != last).any():
@@ -115,6 +120,23 @@ class _Grid(NamedTuple):
             distinct.append(values[np.concatenate([[True], np.diff(rank) > 0])])
         (low, high), (first, last) = np.split(ranks[:-2], 2), ranks[-2:]
         return cls(low, high, first, last, distinct)
+
+
+def _are_partition(
+    grid: _Grid, first: np.ndarray, last: np.ndarray, leaves: np.ndarray, wide: np.ndarray
+) -> bool:
+    """Tell whether leaves lie in a part, are disjoint, and have as many cells as the part."""
+    low, high = grid.low[leaves], grid.high[leaves]
+    if (low < first).any() or (high > last).any():
+        return False
+    meet = (low[:, None, wide] < high[None, :, wide]).all(axis=2)
+    meet = meet & meet.T  # every two leaves that share a cell
+    np.fill_diagonal(meet, False)
+    if meet.any():
+        return False
+    # Python's integers, which do not overflow
+    sizes = (high - low)[:, wide].tolist()
+    return sum(map(math.prod, sizes)) == math.prod((last - first)[wide].tolist())
 
 
 def _cut(

@@ -230,7 +230,8 @@ class _Choice(abc.ABC):
                 fits.append(self._followed(pose))
         if not fits:
             at = int(self.nearest([0.5])[0])
-            return at, ChosenNumber([], *self.numbers[[0, -1]].tolist(), is_cut=True), None
+            low, high = self.numbers[[0, -1]].tolist()
+            return at, ChosenNumber([], low, high, is_cut=True), None
         fit = min(fits, key=lambda each: each.value)
         wanted, share = self.number(fit)
         at = int(np.abs(self.numbers - wanted).argmin())

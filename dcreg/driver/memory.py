@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -114,10 +115,21 @@ def available_mb() -> float:
     return free
 
 
-def advance_notice(estimate: MemoryEstimate, problem: Problem, time_s: float | None) -> str | None:
-    """Return what a large solve may need, as text; None if the solve is small."""
+def is_large_work(problem: Problem, time_s: float | None) -> bool:
+    """Tell whether memory and time of a solve are announced."""
+    is_long = time_s is None or time_s >= LONG_S
+    return is_long or len(problem.source) * len(problem.target) > MANY_PAIRS
+
+
+def advance_notice(
+    estimate: MemoryEstimate, time_s: float | None, stages: Mapping[str, float]
+) -> str:
+    """Return what a large solve may need, as text; `stages` are the seconds of those without a proof."""
     limit = math.inf if time_s is None else time_s
-    if limit < LONG_S and len(problem.source) * len(problem.target) <= MANY_PAIRS:
-        return None
     time = f"at most about {limit:,.0f} s" if math.isfinite(limit) else "no limit"
-    return f"estimated memory: {estimate}; time: {time}"
+    parts = [f"{name} about {max(seconds, 0.1):.2g} s" for name, seconds in stages.items()]
+    first = f", of which {' and '.join(parts)}" if parts else ""
+    return (
+        f"estimated memory: {estimate}; time: {time}{first}. The proof has no estimate yet: it takes the "
+        "rest, unless it ends early"
+    )

@@ -23,7 +23,8 @@ from dcreg.driver.downsample import (
     share_of_search,
     to_search,
 )
-from dcreg.driver.memory import advance_notice, check_memory, estimated_memory
+from dcreg.driver.first_stages import first_stages
+from dcreg.driver.memory import advance_notice, check_memory, estimated_memory, is_large_work
 from dcreg.driver.modes import choose_mode, find_mode, run_mode
 from dcreg.driver.normalised import NormalisedProblem, Solution, in_input_units
 from dcreg.driver.options import Limits, SolveOptions
@@ -155,8 +156,9 @@ class Setup:
         limits.check(largest.n_inliers)
         memory = estimated_memory(problems[-1], largest, chosen, bound, len(problems))
         check_memory(memory, problems[-1])
-        if notice := advance_notice(memory, problems[-1], limits.time_s):
-            _LOGGER.info(notice)
+        if is_large_work(problems[-1], limits.time_s):
+            stages = first_stages(problems[-1], largest, chosen)
+            _LOGGER.info(advance_notice(memory, limits.time_s, stages))
         checkpoint = None
         if options.checkpoint is not None:
             from dcreg.driver.checkpoint import open_checkpoint  # few searches need it

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dcreg.search import recording
 from dcreg.search.boxes import Bound, Boxes, Confined, Evaluation, Leaves, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted
 from dcreg.search.prospect import (
@@ -23,6 +22,7 @@ from dcreg.search.prospect import (
     FEW_DESCENTS,
     Prospect,
 )
+from dcreg.search.recording import active
 from dcreg.search.tolerance import Tolerance
 from dcreg.status import Status
 
@@ -225,7 +225,7 @@ class Search:
 
     def narrow(self, confined: Confined) -> None:
         """Continue with only the boxes that meet the `confined` ones, and with a new patience."""
-        if (recorder := recording.active.get()) is not None:
+        if recorder := active():
             recorder.confine(self.stage, confined)
         self.region = confined
         self.pruned_bound = min(self.pruned_bound, confined.outside)
@@ -286,9 +286,8 @@ class Search:
             if self.leaves is not None:
                 self.leaves.add(boxes[~keep])
         self.nodes.push(boxes[keep])
-        if (recorder := recording.active.get()) is not None:
-            end = self.lower_bound, self.upper_bound, self.theta
-            recorder.add(self.stage, boxes, keep, end)
+        if recorder := active():
+            recorder.add(self.stage, boxes, keep, (self.lower_bound, self.upper_bound, self.theta))
 
     def put_back(self, boxes: Boxes) -> None:
         """End the search with boxes that could not be bounded in time."""

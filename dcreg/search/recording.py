@@ -58,15 +58,20 @@ class Recorder:
         recording.cuts.append((sum(len(boxes) for boxes, _ in recording.rounds), confined))
 
 
-active: ContextVar[Recorder | None] = ContextVar("active", default=None)
+_active: ContextVar[Recorder | None] = ContextVar("active", default=None)
+
+
+def active() -> Recorder | None:
+    """Return the recorder of the context, if there is one."""
+    return _active.get()
 
 
 @contextmanager
 def recording() -> Iterator[Recorder]:
     """Record the boxes of the searches that this thread begins in the context."""
     recorder = Recorder()
-    token = active.set(recorder)
+    token = _active.set(recorder)
     try:
         yield recorder
     finally:
-        active.reset(token)
+        _active.reset(token)

@@ -38,7 +38,9 @@ def write_sources(tables: Tables, out: Path) -> list[str]:
     config = {**provenance.get("config", {}), "name": f"{tables.experiment}{AGAIN}"}
     text = yaml.safe_dump(config, sort_keys=False, allow_unicode=True)
     (out / "config.yaml").write_text(text, encoding="utf-8")
-    used = dict.fromkeys(method["baseline"] for method in provenance.get("methods", {}).values())
+    used = dict.fromkeys(
+        card.get("baseline", name) for name, card in provenance.get("methods", {}).items()
+    )
     return [
         *_copies(used, methods, "baselines", out),
         *_copies(dict.fromkeys(tables.runs["dataset"]), datasets, "data", out),

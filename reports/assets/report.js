@@ -20,6 +20,8 @@ const delivered = new Map();
 function store(name, text) { delivered.set(name, text); }
 
 const stored = (name) => once(`data ${name}`, async () => {
+  const inside = $(`[data-stored="${CSS.escape(name)}"]`);
+  if (inside) return inside.textContent;
   const script = document.createElement("script");
   script.src = `data/${name}.js`;
   await new Promise((resolve, reject) => {

@@ -71,11 +71,11 @@ class Details:
                 int(number),
                 {
                     "clouds": {name: self.clouds[name] for name in names if name in self.clouds},
-                    "runs": {run["run_id"]: self._of_run(run) for run in part.to_dict("records")},
+                    "runs": {str(run["run_id"]): self._of_run(run) for _, run in part.iterrows()},
                 },
             )
 
-    def _of_run(self, run: dict[str, Any]) -> dict[str, Any]:
+    def _of_run(self, run: pd.Series) -> dict[str, Any]:
         card = self.tables.cards.get(run["method"], {})
         return {
             **{name: run[name] for name in FACTS if run[name] == run[name]},

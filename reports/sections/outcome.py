@@ -13,7 +13,7 @@ from reports.page import Page
 from reports.pairs import pair_rows
 from reports.standing import BEST, TIED, WORSE, Matrix, matrices
 from reports.tables import PENALTY, Tables, counted_time, is_right, share_interval
-from reports.theme import Style, listed, share
+from reports.theme import Style, integer, listed, share
 from workflows.metrics.errors import SUCCESS_SHARE
 from workflows.outcomes import attempted, comparable_times, main_machine
 from workflows.stages.evaluate import success_limits
@@ -43,6 +43,7 @@ def context(page: Page) -> dict[str, Any]:
     rows, found = outcomes(tables), matrices(tables)
     pairs = pair_rows(tables)
     return {
+        "what": what(tables),
         "facts": facts(tables),
         "pairs": pairs,
         "pair_names": list(dict.fromkeys(row["shape"] for row in pairs)),
@@ -85,6 +86,18 @@ def sentence(matrix: Matrix, styles: dict[str, Style]) -> str:
             f"{found}; {listed(tied)} {'is' if len(tied) == 1 else 'are'} not significantly worse."
         )
     return found + ("; the others are significantly worse." if worse else ".")
+
+
+def what(tables: Tables) -> str:
+    """Return what was run, in one sentence."""
+    runs = tables.runs
+    tests = runs["test"].nunique()
+    dims = " and ".join(f"{dim}D" for dim in sorted(runs["dim"].unique()))
+    return (
+        f"{len(tables.methods)} method{'s' * (len(tables.methods) > 1)} on "
+        f"{runs['instance_id'].nunique()} instances of {listed(list(runs['dataset'].unique()))}, "
+        f"{tests} test{'s' * (tests > 1)} in {dims}: {integer(len(runs))} planned runs."
+    )
 
 
 def facts(tables: Tables) -> list[tuple[str, str]]:

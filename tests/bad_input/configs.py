@@ -82,8 +82,10 @@ def _cases() -> Iterator[Case]:
         assert old in GOOD, name
         files: dict[str, bytes | None] = {"bad.yaml": GOOD.replace(old, new, 1).encode()}
         yield Case("configs", name, partial(_load, "bad.yaml"), words, files)
-    for name, experiment in (("unknown name", "dema"), ("missing file", "absent.yaml")):
-        words = [f"no experiment '{experiment}'", "known: "]
+    for name, experiment, words in (
+        ("unknown name", "dema", ["no experiment 'dema'", "known: "]),
+        ("missing file", "absent.yaml", ["absent.yaml: no such config file", "correct the path"]),
+    ):
         yield Case("configs", name, partial(_load, experiment), words)
     for text, words in (
         ("test=noise", ["selection 'test=noise'", "did you mean 'tests'"]),

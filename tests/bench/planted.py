@@ -81,6 +81,7 @@ def outcome(change: str, trial: int, table: pd.DataFrame) -> dict[str, Any]:
     row = {
         "change": change,
         "trial": trial,
+        "repetitions": table["repetition"].nunique(),
         "alarm": any(each.verdict in ("slower", "worse") for each in (*times, *work)),
         "alarm_time": any(each.verdict == "slower" for each in times),
         "alarm_work": any(each.verdict == "worse" for each in work),
@@ -112,7 +113,7 @@ def main(
             counted = {LOOSENING: copies[LOOSENING]}
             timed = {name: copy for name, copy in copies.items() if name not in counted}
             tables = measure(ROOT, timed, repetitions, IN_KERNEL)
-            tables |= measure(ROOT, counted, repetitions=0)
+            tables |= measure(ROOT, counted, repetitions=0, timed=())
             rows += [outcome(name, trial, table) for name, table in tables.items()]
             out.parent.mkdir(parents=True, exist_ok=True)
             pd.DataFrame(rows).to_csv(out, index=False, float_format="%.5g")

@@ -112,6 +112,8 @@ def _run(method, model, dataset, shape, test, level, trial):
         "noise_bound": 2 * (0.009 + level), "T_reference": _identity(model),
         "bound_violation": 0.0 if bounds else float("nan"), "parallel_jobs": 1.0, "extra": "{}",
     }  # fmt: skip
+    if posed:
+        run["T_target_source"] = json.dumps(_overlay(run, "")["T_target_source"])
     return run, _events(run) if bounds else []
 
 

@@ -235,8 +235,11 @@ def test_a_new_baseline_is_the_users_own_method_and_the_next_steps_name_its_file
 ) -> None:
     assert registry.read_card("mine", root).provenance == "own"
     files = "baselines/mine/adapter.py", "baselines/mine/card.yaml"
-    for step in (*files, "-k mine", "{name: mine, baseline: mine}"):
+    for step in (*files, "-m baselines.check mine", "make run METHODS=mine,dcreg,icp"):
         assert step in template.next_steps("mine")
+    elsewhere = template.next_steps("mine", root)
+    for step in (f"-m baselines.check {root}/mine", f"DCREG_BASELINES_PATH={root}"):
+        assert step in elsewhere
 
 
 def test_new_baselines_get_colours_of_their_own(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dcreg.certificate import CertificateError, write
+from dcreg.certificate import CertificateError, proof, write
 from dcreg.certificate.assignment import cheapest_pairs, duals_of
 from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Proof, check_partition
@@ -163,9 +163,25 @@ def partitions(draw):
     return start, lower[order], upper[order], generator
 
 
-@given(partitions())
-def test_partitions_are_accepted_and_broken_ones_refused(partition):
-    start, lower, upper, generator = partition
+def test_a_partition_of_many_leaves_needs_few_cuts(monkeypatch):
+    """A cut of every two leaves takes most of the time of a check."""
+    steps = np.stack(np.meshgrid(*[np.arange(12.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    cuts, cut = [], proof._cut
+    monkeypatch.setattr(proof, "_cut", lambda *given: cuts.append(1) or cut(*given))
+    check_partition(np.zeros(3), np.full(3, 12.0), steps, steps + 1.0)
+    assert len(cuts) < len(steps) / 10
+    with pytest.raises(CertificateError, match="gap"):
+        check_partition(np.zeros(3), np.full(3, 12.0), steps[1:], steps[1:] + 1.0)
+
+
+@given(partitions(), st.sampled_from([0, 5, proof.FEW_LEAVES]))
+def test_partitions_are_accepted_and_broken_ones_refused(partition, few):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(proof, "FEW_LEAVES", few)
+        check_whole_and_broken(*partition)
+
+
+def check_whole_and_broken(start, lower, upper, generator):
     check_partition(*start, lower, upper)
     check_partition(*start, lower - 1e-15, upper)  # rounding
     leaf = generator.integers(len(lower))

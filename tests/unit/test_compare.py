@@ -38,6 +38,17 @@ def test_a_record_with_an_additional_column_is_read(base, tmp_path):
     assert set(verdicts(old, base).values()) == {"same"}
 
 
+def test_a_record_without_a_later_metric_is_compared_in_all_others(base, tmp_path):
+    folder = tmp_path / "old" / "e"
+    folder.mkdir(parents=True)
+    base.drop(columns=["gap_integral_boxes", "bound_violation"]).to_parquet(folder / recording.RUNS)
+    about(folder)
+    old = recording.read("old", tmp_path)["e"].runs
+    found = verdicts(old, base)
+    assert set(found.values()) == {"same"}
+    assert "median gap integral" not in found
+
+
 def test_a_rerun_differs_in_times_and_limits_only(base, rng):
     head = base.copy()
     head["time_solve_s"] *= rng.uniform(0.9, 1.1, N_RUNS)

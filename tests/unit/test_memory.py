@@ -1,5 +1,6 @@
 """The estimate of the memory before a solve, and the refusal of what does not fit."""
 
+import itertools
 import logging
 import re
 import subprocess
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import dcreg
+from dcreg.driver import first_stages as stages
 from dcreg.driver import memory
 from dcreg.driver.downsample import to_search
 from dcreg.driver.modes import choose_mode, find_mode
@@ -101,10 +103,34 @@ def test_the_available_memory_is_that_of_the_machine():
 )
 def test_large_work_is_announced(n, time_s, notice):
     problem = Problem(*clouds(n, n, 3), 0.8, "rigid3d")
-    said = memory.advance_notice(estimate(n, n), problem, time_s)
-    assert (said is None) == (notice is None)
-    if notice:
-        assert re.search(notice, said), said
+    assert memory.is_large_work(problem, time_s) == (notice is not None)
+    said = memory.advance_notice(estimate(n, n), time_s, {"initial poses": 2.0, "all points": 0.01})
+    assert re.search(notice or "memory", said), said
+    assert "of which initial poses about 2 s and all points about 0.1 s. The proof has no" in said
+
+
+@pytest.mark.parametrize(
+    ("sizes", "seconds"), [((400, 400), 1.92), ((1600, 1600), 7.2), ((100, 900), 0.6)]
+)
+def test_the_first_stages_take_the_measured_time(sizes, seconds, monkeypatch):
+    monkeypatch.setattr(stages, "slowness", lambda: 2.0)
+    problem, mode = Problem(*clouds(*sizes, 3), 0.8, "rigid3d"), find_mode("rigid3d", "full")
+    found = stages.first_stages(problem, problem, mode)
+    assert found == {"initial poses": pytest.approx(2.0 * seconds, rel=0.05)}
+    many = Problem(*clouds(20_000, 20_000, 3), 0.8, "rigid3d")
+    sampled = stages.first_stages(many, problem, mode)
+    assert sampled == found | {"all points": pytest.approx(2.0 * 2.0)}
+    flat = Problem(*clouds(300, 300, 2), 0.8, "similarity2d")
+    paper = stages.first_stages(flat, flat, find_mode("similarity2d", "paper"))
+    assert paper["initial poses"] == pytest.approx(2.0 * 1.1, rel=0.05)
+    norms = stages.first_stages(problem, problem, find_mode("rigid3d", "paper"))
+    assert norms == {}  # they take what the limit leaves
+
+
+def test_the_slowness_of_a_machine_is_that_of_its_clock(monkeypatch):
+    moments = itertools.count(0.0, 4.2e-3)
+    monkeypatch.setattr(stages.time, "perf_counter", lambda: next(moments))
+    assert stages.slowness() == pytest.approx(2.0)
 
 
 def test_the_notice_comes_before_the_search_and_the_estimate_is_in_the_result(caplog):

@@ -127,12 +127,20 @@ def test_the_very_tables_are_next_to_the_page(made_report, folder):
     assert data_of(made_report, "plotly") == get_plotlyjs().encode()
 
 
+def test_the_page_in_one_file_has_the_same_data(made_report):
+    whole = (made_report / "whole.html").read_text(encoding="utf-8")
+    inside = dict(re.findall(r'<script type="text/plain" data-stored="(.*)">(.*)</script>', whole))
+    names = {path.stem for path in (made_report / "data").iterdir()}
+    assert set(inside) == names
+    assert packing.unpack(inside["runs"]) == data_of(made_report, "runs")
+
+
 def test_a_new_page_replaces_the_data_of_an_earlier_one(small, tmp_path):
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "old.js").write_text("")
     page = pages.Page(Tables.load(small[0]), {}, tmp_path)
     page.add_download("a.csv", b"1", "one")
-    page.write_data(tmp_path)
+    pages.write_data(page.packed(), tmp_path)
     names = {path.stem for path in (tmp_path / "data").iterdir()}
     assert names == {"file-a.csv", "plotly"}
 
@@ -372,6 +380,11 @@ def test_methods_are_compared_with_the_best_on_common_instances(tables):
     assert compared("1" * 20, "1" * 16 + "0" * 4)["dcreg-half"].standing == "tied"
     both = compared("1" * 20, "1" * 15 + "0" * 5, "1" * 15 + "0" * 5)
     assert [cell.standing for cell in both.values()] == ["best", "tied", "tied"]
+
+
+def test_the_first_sentence_says_what_was_run(tables):
+    said = "6 methods on 63 instances of demo, 3 tests in 2D and 3D: 378 planned runs."
+    assert outcome.what(tables) == said
 
 
 def test_the_outcome_names_the_best_methods(tables, styles):

@@ -6,7 +6,7 @@ import pytest
 
 from tests.bench import planted
 from tests.bench.interleaved import MINIMUM_OF, REPETITIONS
-from workflows.timing import FEWEST, hodges_lehmann, judge, judge_work
+from workflows.timing import FEWEST, hodges_lehmann, is_precise, judge, judge_work
 
 
 def times(rng: np.random.Generator, factor: float) -> pd.DataFrame:
@@ -54,6 +54,17 @@ def test_the_interval_of_many_pairs_covers_the_truth_and_shrinks():
     covered = np.mean([ratio.low <= np.exp(0.1) <= ratio.high for ratio in ratios])
     assert 0.9 <= covered <= 0.99
     assert ratios[0].high / ratios[0].low < 1.12
+
+
+def test_more_repetitions_are_wanted_until_the_interval_is_narrow():
+    table = times(np.random.default_rng(0), 1.0)
+    assert not is_precise(table[table["repetition"] < FEWEST - 1])
+    noisy = table.assign(
+        cpu_s_head=table["cpu_s_head"] * np.where(table["repetition"] % 2, 1.0, 1.3)
+    )
+    assert not is_precise(noisy)
+    assert is_precise(table.assign(cpu_s_head=table["cpu_s_base"]))
+    assert is_precise(table.iloc[:0])  # nothing is timed
 
 
 def test_one_box_more_in_one_problem_is_worse():

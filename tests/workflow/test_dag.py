@@ -211,11 +211,11 @@ def test_snakemakes_own_report_has_captions_and_needs_no_network(checkout):
         name.removeprefix("results/tiny/"): result for name, result in shown("results").items()
     }
     assert set(tables) == {
-        "report/index.html", "tables/runs.parquet", "tables/accounting.csv",
+        "report/whole.html", "tables/runs.parquet", "tables/accounting.csv",
         "tables/provenance.json",
     }  # fmt: skip
     assert all(result["caption"] and result["labels"]["content"] for result in tables.values())
-    assert tables["report/index.html"]["labels"]["experiment"] == "tiny"
+    assert tables["report/whole.html"]["labels"]["experiment"] == "tiny"
     assert set(shown("categories")) == {
         "Provenance", "Report", "Tables",
     }  # fmt: skip

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tests.workflow.test_report_browser import (  # noqa: F401 (fixtures)
-    browser,
-    choose,
-    drawn,
-    page,
-    pytestmark,
-    view,
-    wait,
-)
+from tests.browsing import needs_browser, requests, view, wait
+from tests.workflow.test_report_browser import choose, drawn, page  # noqa: F401 (a fixture)
+
+pytestmark = needs_browser
 
 
 @pytest.fixture
@@ -133,6 +128,14 @@ def test_an_address_with_a_run_opens_it(runs):
     runs.execute_script("location.hash = `run=${arguments[0]}`", run)
     runs.refresh()
     wait(runs, f"$('#run').open && $('#run').dataset.drawn === '{run}'")
+
+
+def test_the_page_in_one_file_shows_a_run_too(runs, made_report):
+    run = first_run(runs, answer="wrong")
+    requests(runs)
+    runs.get(f"{(made_report / 'whole.html').as_uri()}#run={run}")
+    wait(runs, f"$('#run').open && $('#run').dataset.drawn === '{run}'")
+    assert requests(runs) == {(made_report / "whole.html").as_uri()}
 
 
 def test_wrong_runs_of_a_method_are_a_gallery(runs):

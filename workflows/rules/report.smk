@@ -3,7 +3,8 @@ rule report:
     input:
         rules.aggregate.output,
     output:
-        shown(f"{VIEW}/report/index.html", "report", "Report", "interactive report"),
+        f"{VIEW}/report/index.html",
+        shown(f"{VIEW}/report/whole.html", "report", "Report", "interactive report"),
     params:
         sources=sources(
             "reports", "workflows/outcomes.py", "workflows/summary.py", "workflows/metrics"

@@ -1,0 +1,67 @@
+"""An estimate of the time of the stages that precede and follow a search, from the sizes of the clouds.
+
+The constants are processor seconds measured once; `slowness` converts them to those of this machine. The
+search itself ends by its proof or by a limit, which no size foretells.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from dcreg.assignment.objective import is_large
+from dcreg.driver.downsample import ALL_POINTS
+from dcreg.families.mode import Mode
+from dcreg.problem import Problem
+
+INITIAL_POSES = "initial poses"
+# In 3D: per point, at most so much; and per pair of points.
+_POINT_S, _MOST_S, _PAIR_S = 4e-3, 2.1, 2e-6
+# In 2D: of `_FLAT_PAIRS` pairs of points, and the power with which it grows.
+_FLAT_S, _FLAT_PAIRS, _FLAT_POWER = 0.08, 1e4, 1.2
+# On all points: of the cube of the larger size, for a dense matching; per point of the larger cloud;
+# and of huge ones, for which there is one matching.
+_DENSE_S, _SEVERAL_S, _ONE_S, _ONE_FROM = 6e-10, 1e-4, 4.5e-5, 40_000
+_PROBE_POINTS, _PROBE_S = 200_000, 2.1e-3
+
+
+def first_stages(problem: Problem, searched: Problem, mode: Mode) -> dict[str, float]:
+    """Return the seconds of the initial poses of a search, and of refining its pose on all points.
+
+    Parameters
+    ----------
+    problem : Problem
+        As given.
+    searched : Problem
+        `problem` itself or a sample of it.
+    mode : Mode
+
+    Returns
+    -------
+    dict of str to float
+        Without stages that take the time that a limit leaves, as those of norms do.
+    """
+    found, factor = {}, slowness()
+    n, m = len(searched.source), len(searched.target)
+    if problem.dim == 2:
+        found[INITIAL_POSES] = factor * _FLAT_S * (n * m / _FLAT_PAIRS) ** _FLAT_POWER
+    elif not mode.in_norm_space:
+        found[INITIAL_POSES] = factor * (min(_MOST_S, _POINT_S * min(n, m)) + _PAIR_S * n * m)
+    if searched is not problem:
+        n, m = len(problem.source), len(problem.target)
+        larger = max(n, m)
+        seconds = larger * (_SEVERAL_S if larger <= _ONE_FROM else _ONE_S)
+        found[ALL_POINTS] = factor * (seconds if is_large(n, m) else _DENSE_S * larger**3)
+    return found
+
+
+def slowness() -> float:
+    """Return the time of a small computation, divided by that on the machine of the constants."""
+    points, times = np.ones((3, _PROBE_POINTS)), []
+    for _ in range(5):
+        began = time.perf_counter()
+        gaps = points - points[:, :1]
+        (gaps * gaps).sum(axis=0)
+        times.append(time.perf_counter() - began)
+    return min(times) / _PROBE_S
