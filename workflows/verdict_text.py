@@ -21,9 +21,8 @@ def outcome(verdicts: pd.DataFrame) -> str:
     """Return the result of the comparison in a few words."""
     counts = verdicts["verdict"].value_counts()
     worse = int(counts.get("worse", 0))
-    others = [
-        f"{counts[word]} {word}" for word in ("better", "changed", "unclear") if word in counts
-    ]
+    kinds = ("better", "changed", "unclear", "not compared")
+    others = [f"{counts[word]} {word}" for word in kinds if word in counts]
     first = f"{worse} regression{'s' * (worse != 1)}" if worse else "no regression"
     return ", ".join([first, *others])
 

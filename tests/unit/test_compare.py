@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,7 @@ import pytest
 from record_fixture import N_RUNS, about, table
 from typer.testing import CliRunner
 
-from workflows import recording
+from workflows import recording, verdict_text
 from workflows.__main__ import app
 from workflows.compare import compare, judge_records, sign_test
 from workflows.records import SCHEMA_VERSION
@@ -150,6 +151,8 @@ def test_a_method_with_other_settings_is_not_compared(base):
         (found,) = judged(base, head, old, {**old, name: value})
         assert found.verdict == "not compared"
         assert found.detail.startswith(f"{name} differ: ")
+        shown = verdict_text.outcome(pd.DataFrame([asdict(found)]))
+        assert shown == "no regression, 1 not compared"
 
 
 def test_a_method_that_is_not_installed_on_one_side_is_not_compared(base):
