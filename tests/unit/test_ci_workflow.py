@@ -1,4 +1,4 @@
-"""The workflow of GitHub Actions: commands that exist, scripts that parse, official actions, few rights."""
+"""The workflow of GitHub Actions: existing commands, scripts that parse, official actions, few rights."""
 
 import re
 import subprocess
