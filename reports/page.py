@@ -27,6 +27,7 @@ class Download:
     size: int
 
 
+MOST_PRINTED = 50  # methods of a figure for print
 MOST_FILES = 100  # of data, next to a page
 DATA = "data"  # their folder
 
@@ -66,8 +67,13 @@ class Page:
     def add_print(
         self, figure: Figure, view: str, roles: Collection[str], name: str, text: str
     ) -> list[Download]:
-        """Add a view of a figure as SVG and PDF, both as files next to the page and as downloads."""
+        """Add a view of a figure as SVG and PDF, both as files next to the page and as downloads.
+
+        Without files for more than `MOST_PRINTED` methods: nobody could tell their lines apart.
+        """
         assert figure.grid is not None
+        if len(self.styles) > MOST_PRINTED:
+            return []
         drawing = printing.draw(
             figure.payload["views"][view]["data"], figure.grid, self.styles,
             f"{self.tables.experiment}: {text}", roles, photographs=figure.photographs,

@@ -35,6 +35,7 @@ WITH = dict.fromkeys(
         "unit/test_report.py",
         "unit/test_runs.py",
         "workflow/test_runs_browser.py",
+        "workflow/test_library_browser.py",
         "workflow/test_accessibility.py",
     ),
     "workflow/test_report_browser.py",

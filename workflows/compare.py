@@ -214,10 +214,9 @@ def _sides(name: str) -> tuple[str, str]:
 
 def _labels(pairs: pd.DataFrame) -> pd.Series:
     """Return what a reader needs to recognise the instances."""
-    parts = [
-        pairs[f"{name}_base"].map(str) for name in ("dataset", "shape", "test", "level", "trial")
-    ]
-    return parts[0].str.cat(parts[1:], sep=" ")
+    names = [f"{name}_base" for name in ("dataset", "shape", "test", "level", "trial")]
+    labels = [" ".join(map(str, row)) for row in pairs[names].itertuples(index=False)]
+    return pd.Series(labels, index=pairs.index, dtype=str)
 
 
 def sign_test(better: int, worse: int) -> tuple[str, float]:
@@ -293,8 +292,8 @@ def _counter(pairs: pd.DataFrame, name: str) -> Judged:
 
 def _quality(pairs: pd.DataFrame, name: str, worst: float) -> Judged:
     old, new = (pairs[side].fillna(worst).astype(float) for side in _sides(name))
-    same = np.isclose(old, new, rtol=SAME, atol=1e-12)
-    return _paired(pairs, old.median(), new.median(), ~same & (new > old), ~same & (new < old))
+    differs = pd.Series(~np.isclose(old, new, rtol=SAME, atol=1e-12), index=pairs.index)
+    return _paired(pairs, old.median(), new.median(), differs & (new > old), differs & (new < old))
 
 
 def _times(pairs: pd.DataFrame, name: str) -> Judged:
@@ -303,9 +302,9 @@ def _times(pairs: pd.DataFrame, name: str) -> Judged:
     if timed.empty:
         return Judged(np.nan, np.nan, "not compared", "no time of both versions on one machine")
     old, new = (timed[side].to_numpy(dtype=float) for side in _sides(name))
-    means = (float(np.exp(np.log(side).mean())) for side in (old, new))
+    before, after = (float(np.exp(np.log(side).mean())) for side in (old, new))
     word, ratio = judge_once(old, new)
-    return Judged(*means, word, f"{ratio}; measured once, never a regression")
+    return Judged(before, after, word, f"{ratio}; measured once, never a regression")
 
 
 def _joined(*parts: str) -> str:

@@ -102,9 +102,10 @@ def _rank_below(n: int) -> int:
 def judge(times: pd.DataFrame) -> Iterator[Timed]:
     """Yield a verdict for each group of a table of repeated times."""
     for group, part in times.dropna(subset="cpu_s_base").groupby("group", sort=False):
-        logs = np.log(part["cpu_s_head"] / part["cpu_s_base"])
-        by_repetition = logs.groupby(part["repetition"]).mean().to_numpy()
-        base = np.log(part["cpu_s_base"]).groupby(part["repetition"]).mean().to_numpy()
+        sides = part[["cpu_s_base", "cpu_s_head"]].apply(np.log)
+        logs = sides.groupby(part["repetition"]).mean()
+        base = logs["cpu_s_base"].to_numpy()
+        by_repetition = logs["cpu_s_head"].to_numpy() - base
         means = part.groupby("repetition")[["cpu_s_base", "cpu_s_head"]].mean().median()
         yield Timed(
             str(group),

@@ -102,7 +102,7 @@ def as_json(verdicts: pd.DataFrame, base: str, head: str) -> str:
 
 
 def _rows(verdicts: pd.DataFrame) -> list[Verdict]:
-    return [Verdict(**row) for row in verdicts.to_dict("records")]
+    return [Verdict(*row) for row in verdicts.itertuples(index=False)]
 
 
 def _named(row: Verdict, most: int) -> list[str]:

@@ -1,16 +1,12 @@
 "use strict";
 // The page of the library: filters, sorting, and the view of one problem. No request leaves the page.
+// dcreg/plot/unpack.js stands before it.
 
 const $ = (selector, root = document) => root.querySelector(selector);
 const $$ = (selector, root = document) => [...root.querySelectorAll(selector)];
 
-async function unpack(element) {
-  const bytes = Uint8Array.from(atob(element.textContent), (c) => c.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
-  return JSON.parse(await new Response(stream).text());
-}
-let unpacked = null;
-const problems = () => (unpacked ??= unpack($("#data")));
+let known = null;
+const problems = () => (known ??= unpacked($("#data").textContent).json());
 
 $("#theme").addEventListener("click", () => {
   const isDark = getComputedStyle(document.documentElement).colorScheme === "dark"

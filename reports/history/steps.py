@@ -69,7 +69,7 @@ class History:
     lines: dict[str, list[Line]]  # by method
 
 
-def _share(column: str, value: object) -> Value:
+def _share(column: str, value: str | bool) -> Value:
     return lambda runs: 100 * float(runs[column].eq(value).mean())
 
 

@@ -63,7 +63,7 @@ class Model:
 def table(known: Iterable[tuple[Problem, Record]]) -> pd.DataFrame:
     """Return a row per problem: features, time of the solve with a certificate, and status.
 
-    The time of a problem without a proof is the time after which its search ended.
+    Searches that ended without a proof had different limits, so all have the time of the longest one.
     """
     rows = []
     for problem, record in known:
@@ -77,7 +77,9 @@ def table(known: Iterable[tuple[Problem, Record]]) -> pd.DataFrame:
                 "cpu_s": max(solve.cpu_s, SHORTEST_S), "is_limit": solve.status != "optimal",
             }
         )  # fmt: skip
-    return pd.DataFrame(rows)
+    found = pd.DataFrame(rows)
+    found.loc[found["is_limit"], "cpu_s"] = found["cpu_s"].max()
+    return found
 
 
 def proof_solve(record: Record) -> SolveEntry | None:

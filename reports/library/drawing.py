@@ -69,7 +69,7 @@ def _panel(rows: pd.DataFrame, name: str, label: str) -> str:
     for tick in np.linspace(*x_range, 4):
         u, _ = at(tick, y_range[0])
         value = 10.0**tick if is_log else tick
-        parts.append(f'<text class="mid" x="{u:.1f}" y="{height - 20}">{value:.2g}</text>')
+        parts.append(f'<text class="mid" x="{u:.1f}" y="{height - 20}">{_short(value)}</text>')
     parts.append(f'<text class="mid" x="{(left + width) / 2}" y="{height - 4}">{label}</text>')
     for row, u, v in zip(rows.itertuples(), x, y, strict=True):
         cx, cy = at(u, v)
@@ -86,3 +86,7 @@ def _range(values: np.ndarray, is_log: bool) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
     pad = 0.04 * (high - low) or 0.5
     return (low - pad if is_log else max(low - pad, 0.0)), high + pad
+
+
+def _short(value: float) -> str:
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"

@@ -10,11 +10,13 @@ from typing import Any
 from data.library.problem import Problem, all_problems
 from data.library.record import BoundEntry, PoseEntry, Record, read_record
 from dcreg import __version__
+from dcreg.plot import packing
 from reports import templating
 from reports.library import difficulty, drawing
 from reports.page import pack_json
 
 HERE = Path(__file__).parents[1]
+SCRIPTS = (packing.UNPACK, HERE / "assets" / "library.js")
 WORDS = {
     "easy": "proven by default options within 60 s of processor time",
     "hard": "proven with more effort",
@@ -66,7 +68,7 @@ def build(out: Path) -> Path:
     table.to_csv(out / "difficulty.csv", index=False)
     html = templating.environment().get_template("library.html").render(
         css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
-        script=(HERE / "assets" / "library.js").read_text(encoding="utf-8"),
+        script="\n".join(path.read_text(encoding="utf-8") for path in SCRIPTS),
         rows=rows,
         counts=Counter(row.status for row in rows),
         proven_3d=sum(row.status != "open" and row.problem.dim == 3 for row in rows),

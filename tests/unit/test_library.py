@@ -110,7 +110,7 @@ def test_constructions_give_the_stored_points(draft):
 def test_changed_points_and_bad_fields_are_refused(tmp_path):
     rows = [[0.0, 0.0], *ONE.source_points[1:]]
     with pytest.raises(LibraryError, match="source has the checksum"):
-        _ = ONE.model_copy(update={"source_points": rows}).clouds
+        _ = Problem.model_validate({**ONE.model_dump(by_alias=True), "source": rows}).clouds
     path = tmp_path / f"{ONE.id}.json"
     path.write_text(ONE.text().replace('"n_inliers": 60', '"n_inliers": 0'), encoding="utf-8")
     with pytest.raises(LibraryError, match=r"n_inliers: Input should be greater"):

@@ -4,27 +4,25 @@ import pytest
 
 from data.library.problem import all_problems
 from reports.library.page import build
-from tests.browsing import needs_browser, requests, view, wait
+from tests.browsing import barriers, errors, needs_browser, open_page, requests, view, wait
 
 pytestmark = needs_browser
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory):
-    return build(tmp_path_factory.mktemp("library")).as_uri()
+def path(tmp_path_factory):
+    return build(tmp_path_factory.mktemp("library"))
 
 
 @pytest.fixture
-def page(browser, address):
+def page(browser, path):
     """The page freshly opened, wide and light; afterwards no error and no request was made."""
     view(browser, 1400, "light")
-    browser.get_log("performance")
-    browser.get_log("browser")
-    browser.get(address)
+    open_page(browser, path)
     wait(browser, "document.querySelector('#count').textContent")
     yield browser
-    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
-    assert {url.partition("#")[0] for url in requests(browser)} <= {address}
+    assert errors(browser) == []
+    assert {url.partition("#")[0] for url in requests(browser)} <= {path.as_uri()}
 
 
 def shown(page):
@@ -60,8 +58,10 @@ def test_filters_and_sorting_change_the_table(page):
 def test_a_problem_has_a_view_that_fits(page, width, scheme):
     view(page, width, scheme)
     choose(page, "#f-text", "pony-60-noise-03")
+    assert barriers(page) == []
     page.find_element("link text", "pony-60-noise-03@1").click()
     wait(page, "document.querySelector('#one canvas')")
+    assert barriers(page) == []
     assert not page.find_element("css selector", "#all").is_displayed()
     text = page.find_element("css selector", "#one").text
     assert "proven lower bound" in text
