@@ -13,7 +13,7 @@ from dcreg.certificate.objective import Objective
 
 TANGENT_STEPS = 10  # attempts to find a better tangent point
 REFUTE_EVERY = 3  # bisections between two attempts to refute a bound that is not proven
-FEW_LEAVES = 48  # of a part that are compared with each other, which is faster than to cut it
+FEW_LEAVES = 48  # a part with at most so many is not cut: comparing all leaves is faster
 # Coordinates are equal if they differ by less than this fraction of the start box, or of the clouds if
 # those are smaller.
 SAME = 1e-12

@@ -64,15 +64,15 @@ def prove(
 @app.command()
 @user_errors
 def run(
-    solver: Annotated[str, typer.Argument(help="A method of `make baselines`.")] = "dcreg",
+    method: Annotated[str, typer.Argument(help="A method of `make baselines`.")] = "dcreg",
     names: Names = None,
     limit: Limit = 10.0,
 ) -> None:
-    """Run a method on the problems and print what it solved."""
+    """Run a method on the problems and print a table of its verdicts."""
     from workflows.library.choose import chosen
     from workflows.library.running import run_method
 
-    run_method(solver, chosen(names), limit)
+    run_method(method, chosen(names), limit)
 
 
 if __name__ == "__main__":
