@@ -196,7 +196,7 @@ def archive(
         path = pack(folder)
         print(
             f"publish   {path}\n"
-            "          upload it where files keep their address, and state this command with it:\n"
+            "          upload the file to a permanent address, and publish this command:\n"
             f"          make report ARCHIVE=<address> SHA256={digest(path)}"
         )
 

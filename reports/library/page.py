@@ -18,8 +18,8 @@ from reports.page import pack_json
 HERE = Path(__file__).parents[1]
 SCRIPTS = (packing.UNPACK, HERE / "assets" / "library.js")
 WORDS = {
-    "easy": "proven by default options within 60 s of processor time",
-    "hard": "proven with more effort",
+    "easy": "proven by default options within 60 s of CPU time",
+    "hard": "proven with more time or other options",
     "open": "not proven",
 }
 BIBTEX = """@misc{{dcreg-library-{key},
@@ -133,7 +133,7 @@ def _facts(row: Row) -> list[tuple[str, str]]:
     }  # fmt: skip
     for entry in record.solves:
         options = ", ".join(entry.options) or "default options"
-        facts[f"{entry.by}, {options}"] = f"{entry.status}, {entry.cpu_s:.2f} s of processor time"
+        facts[f"{entry.by}, {options}"] = f"{entry.status}, {entry.cpu_s:.2f} s of CPU time"
     return [(name, text) for name, text in facts.items() if text]
 
 
