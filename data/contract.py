@@ -102,7 +102,7 @@ class Card(BaseModel):
 
     @property
     def folder(self) -> Path:
-        """The folder of the dataset, from which relative paths begin."""
+        """The folder of the dataset, to which relative paths refer."""
         return self.path.parent
 
     @property
@@ -220,7 +220,7 @@ class Dataset(abc.ABC):
         return {}
 
     def size_note(self, n_points: int | None) -> str:
-        """Say how clouds are reduced if a config asks for `n_points`; empty if they are not."""
+        """Return how clouds are reduced to `n_points` of the config; empty if they are not."""
         return ""
 
     def local_files(self) -> list[Path]:
