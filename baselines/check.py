@@ -24,7 +24,7 @@ OK, SKIPPED, BROKEN = "ok", "skipped", "BROKEN"
 
 
 def candidates(text: str) -> list[Candidate]:
-    """Return the methods that a name, a folder or a package stands for.
+    """Return the methods of a name, a folder or a package.
 
     Raises
     ------
