@@ -303,7 +303,7 @@ def test_settings_without_weights_refuse_them(settings, message):
 def test_many_weighted_points_are_refused():
     points = np.random.default_rng(0).random((1100, 3))
     weights = PointWeights(np.linspace(1.0, 2.0, 1100))
-    with pytest.raises(InputError, match="weights: 1100 x 1100 pairs exceed 1,200,000; thin"):
+    with pytest.raises(InputError, match="weights: 1100 x 1100 pairs exceed 1,200,000; downsample"):
         register(points, points, n_inliers=1100, model="rigid3d", weights=weights)
 
 
