@@ -55,8 +55,8 @@ class Model:
         return (
             f"The best predictor of the time of a proof is {NAMES[first]}: one standard deviation more "
             f"multiplies the time by {next(factors)}; next is {NAMES[second]} (factor {next(factors)}). "
-            f"Together, {len(self.factors)} features and the model explain {self.r_squared:.0%} of the "
-            f"variance of log time over {self.n_problems} problems."
+            f"Together, {len(self.factors)} features and the model explain {100 * self.r_squared:.0f} % "
+            f"of the variance of log time over {self.n_problems} problems."
         )
 
 
