@@ -1,17 +1,16 @@
 """Compare two recorded versions: one verdict per experiment, method and metric.
 
-- Work counters are integers that do not depend on the machine: a single differing run is a real change.
-- A lost pose is a regression, whatever the cause; so is a certificate lost otherwise than by
-  a time or memory limit.
+- Work counters are integers that do not depend on the machine: one run that differs is a real change.
+- A lost pose is always a regression. A lost certificate is one unless the run hit a time or memory limit.
 - Success, certificates, RMSE, objective and integrals over boxes are paired over the same instances and
   judged by a sign test; a difference that may be due to chance is ``unclear``.
 - Runs that hit the time or memory limit are excluded from counters, RMSE, objective and integrals,
   as they end at another point in each execution; they count in poses, success and the certified share.
-- If the records come from two machines, such runs are excluded from poses, success and certificates too.
+- Between records of two machines, such runs are excluded from poses, success and certificates too.
 - Runs of a method that is not installed on one side are excluded, and methods whose options, limits or
   prior differ in the two records.
-- Times of records are measured once and at different moments. They are compared within one machine only,
-  and never fail a comparison. Times that were measured in turn (`tests.bench.interleaved`) do.
+- Times of records are measured once, on different days. They are compared only on the same machine and
+  are never regressions. Times that were measured in turn (`tests.bench.interleaved`) can be.
 
 Only the verdict ``worse`` is a regression.
 """
@@ -44,7 +43,7 @@ class CompareError(UserError):
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of one metric of one method.
+    """The verdict on one metric of one method.
 
     `lost` and `won` are the instances that are worse and better in the head.
     """
@@ -212,7 +211,7 @@ def _timed(pairs: pd.DataFrame) -> pd.Series:
 
 
 def _of_steady_runs(pairs: pd.DataFrame) -> Iterator[tuple[str, str, Judged]]:
-    """Yield metric, unit and verdict of what is compared over runs that no time limit cut."""
+    """Yield metric, unit and verdict of all comparisons of runs without a time or memory limit."""
     timed = _timed(pairs)
     steady = pairs[~timed]
     note = f"{timed.sum()} runs at a time or memory limit excluded" if timed.any() else ""
@@ -298,7 +297,7 @@ def _wrong_bounds(pairs: pd.DataFrame) -> Judged:
 
 
 def _certified(pairs: pd.DataFrame) -> Judged:
-    """Compare certificates; one that was lost otherwise than by a time or memory limit is a fact."""
+    """Compare certificates; one that is lost without a time or memory limit is a regression."""
     old, new = (pairs[f"status_{side}"].eq("optimal") for side in ("base", "head"))
     lost = old & ~new
     found = _paired(pairs, old.sum(), new.sum(), lost, new & ~old)
@@ -336,7 +335,7 @@ def _times(pairs: pd.DataFrame, name: str) -> Judged:
     timed = pairs[pairs[[*_sides(name)]].gt(0).all(axis=1)]
     timed = timed[timed["machine_id_base"] == timed["machine_id_head"]]
     if timed.empty:
-        return Judged(np.nan, np.nan, "not compared", "no run of both on one machine")
+        return Judged(np.nan, np.nan, "not compared", "no time of both versions on one machine")
     old, new = (timed[side].to_numpy(dtype=float) for side in _sides(name))
     before, after = (float(np.exp(np.log(side).mean())) for side in (old, new))
     word, ratio = judge_once(old, new)

@@ -66,7 +66,7 @@ def print_verdicts(verdicts: pd.DataFrame, base: str, head: str) -> None:
 
 
 def markdown(verdicts: pd.DataFrame, base: str, head: str) -> str:
-    """Return a short text for a pull request: outcome, table of differences, instances on demand."""
+    """Return Markdown for a pull request: outcome, table of differences, foldable lists of instances."""
     sign = "❌" if regressed(verdicts) else "✅"
     lines = [f"### {sign} {base} → {head}: {outcome(verdicts)}", ""]
     different = [row for row in _rows(verdicts) if row.verdict != "same"]

@@ -25,7 +25,7 @@ from data.library.submit import checked_proof, proof_path
 from dcreg.files import write_text
 
 SAMPLE_EVERY = 4  # of the stored proofs, in the order of their names
-QUICK_CHECK_S = 5.0  # a proof of the sample took at most so long
+QUICK_CHECK_S = 5.0  # time for a proof of the sample, at most
 
 Say = Callable[[str], None]
 
@@ -129,7 +129,9 @@ def faulty_proof(problem: Problem, record: Record, proofs: Path = PROOFS) -> lis
         path = proof_path(problem.id, bound.proof.sha256, proofs)
         try:
             if hashlib.sha256(path.read_bytes()).hexdigest() != bound.proof.sha256:
-                return [f"{problem.id}: proof: {path.name} is not the file that was accepted"]
+                return [
+                    f"{problem.id}: proof: {path.name} is not the file that was accepted; restore it"
+                ]
             proven = checked_proof(problem, path)[1].lower_bound
         except (LibraryError, OSError) as error:
             return [str(error)]

@@ -1,8 +1,8 @@
 """The problems of the library, and their files. A file is never changed; a correction has a new version.
 
 ``problems/NAME@VERSION.json`` is valid under ``problem.schema.json``, which
-``python -m data.library schema`` writes from the classes of this module. Every number is written so that
-reading it gives the same double.
+``python -m data.library schema`` writes from the classes of this module. Numbers have enough digits to
+give the same doubles when they are read.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ Name = Annotated[str, Field(pattern=f"^{_NAME}$", max_length=60)]
 
 
 class LibraryError(DataError, ValueError):
-    """Something is wrong with a problem, a record or a submission; the message names the field."""
+    """A problem, a record or a submission is invalid; the message names the field."""
 
 
 class Truth(BaseModel):
-    """The pose and the pairs of the construction. They need not be optimal."""
+    """The true pairs and the pose fitted to them. The pose need not be optimal."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -93,7 +93,7 @@ class Problem(BaseModel):
 
     @cached_property
     def clouds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Source and target; of a recipe, fetched and compared with the checksums.
+        """Source and target; the points of a recipe are fetched and compared with the checksums.
 
         Raises
         ------
@@ -175,7 +175,13 @@ def read_problem(path: Path) -> Problem:
 
 
 def validated(kind: type[Any], path: Path) -> Any:
-    """Read a JSON file as an object of a class of pydantic, or say what is wrong with it."""
+    """Read a JSON file as an object of a pydantic class.
+
+    Raises
+    ------
+    LibraryError
+        If the file is missing or invalid.
+    """
     try:
         return kind.model_validate_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -38,7 +38,7 @@ from dcreg.certificate.format import Certificate, CertificateError, read
 from dcreg.certificate.verification import Report, verify
 
 MAX_STORED = 100_000  # bytes of a proof file in the repository
-STATED = 1e-6  # relative error of a stated objective
+STATED = 1e-6  # relative error that a stated objective may have
 
 
 class PoseClaim(BaseModel):
@@ -186,8 +186,9 @@ def checked_proof(problem: Problem, path: Path) -> tuple[Certificate, Report]:
     wanted = (problem.model, problem.n_inliers, problem.scale_range)
     if stated != wanted or len(certificate.candidates):
         raise LibraryError(
-            f"{problem.id}: proof: it is about model, n_inliers and scale_range {stated}"
-            f"{' with candidates' if len(certificate.candidates) else ''}, the problem has {wanted}"
+            f"{problem.id}: proof: its model, n_inliers and scale_range are {stated}"
+            f"{' with candidates' if len(certificate.candidates) else ''}, the problem has {wanted}; "
+            "certify the problem"
         )
     report = verify(certificate, *problem.clouds)
     if not report.accepted:
@@ -196,7 +197,7 @@ def checked_proof(problem: Problem, path: Path) -> tuple[Certificate, Report]:
 
 
 def proof_path(problem_id: str, sha256: str, folder: Path = PROOFS) -> Path:
-    """Return where a stored proof is; the digest keeps proofs of one problem apart."""
+    """Return the path of a stored proof; the digest distinguishes proofs of one problem."""
     return folder / f"{problem_id}.{sha256[:8]}.npz"
 
 

@@ -1,4 +1,4 @@
-"""The part of an archive that lets others run it again: configs, and the code of one's own methods."""
+"""The files of an archive that repeat its experiments: configs, and the code of your own methods."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CODE = (".py", ".yaml", ".yml", ".toml", ".md")  # what is copied of a dataset: 
 def write_sources(tables: Tables, out: Path) -> list[str]:
     """Write the config of an experiment to `out`, and all code that this checkout does not have.
 
-    Methods and datasets lie next to the config, where `workflows.config.search_next_to` finds them.
+    Methods and datasets are next to the config, where `workflows.config.search_next_to` finds them.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def write_readme(experiments: dict[str, list[str]], version: str, commit: str, o
 
 
 def _copies(names: Iterable[str], registry: Any, kind: str, out: Path) -> Iterable[str]:
-    """Copy what lies outside of the checkout, or is one's own; yield a line for each."""
+    """Copy the code that is outside the checkout or has the provenance own; yield a line for each."""
     added = {plugin.name: plugin for plugin in registry.plugins(registry.GROUP)}
     for name in names:
         try:

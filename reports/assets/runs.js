@@ -14,7 +14,7 @@ const runsTable = () => once("runs", async () => {
   };
 });
 
-// title, and how a value is shown; words are those of the columns
+// title and format of each column; columns without a format contain words
 const COLUMNS = {
   run: ["run"], method: ["method"], model: ["model"], case: ["data"], test: ["test"], level: ["level", short], trial: ["trial", short],
   answer: ["verdict"], status: ["status"], rmse: ["RMSE", short], rotation: ["rotation error (°)", short],
@@ -153,7 +153,7 @@ function cardOf(data, at) {
   return card;
 }
 
-// Own pairs of clouds have one level and one trial, which say nothing.
+// Own pairs of clouds have only one level and one trial, which are not shown.
 function titleOf(data, at) {
   const { values } = data, test = data.word("test", at).replaceAll("_", " ");
   const parts = [data.word("case", at)];
@@ -161,7 +161,7 @@ function titleOf(data, at) {
   return parts.join(", ");
 }
 
-// ---- when --------------------------------------------------------------------------------------
+// ---- events ------------------------------------------------------------------------------------
 
 const runsInView = new IntersectionObserver((entries) => {
   if (!entries.some((entry) => entry.isIntersecting)) return;

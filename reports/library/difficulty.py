@@ -1,4 +1,4 @@
-"""Which features of a problem predict the effort of its proof: a table, a fitted model and a sentence."""
+"""Features of a problem that predict the effort of its proof: a table, a fitted model and a sentence."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ NAMES = {
     "asymmetry": "the asymmetry of the source",
 }
 LOGARITHMIC = ("n_points", "residual")
-SHORTEST_S = 0.01  # a shorter solve is not resolved
+SHORTEST_S = 0.01  # shorter times are not resolved
 
 
 @dataclass(frozen=True)
 class Model:
-    """Least squares of the logarithm of the processor time on standardised features, per model.
+    """Least-squares fit of the logarithm of the CPU time to standardised features and the model.
 
     Attributes
     ----------
     factors : dict
-        What one standard deviation more of each feature multiplies the time by.
+        Factor of the time for one standard deviation more of each feature.
     r_squared : float
         Share of the variance that all features explain.
     n_problems : int
@@ -58,9 +58,9 @@ class Model:
         return (
             f"The best predictor of the time of a search is {NAMES[first]}: one standard deviation more "
             f"multiplies the time by {next(factors)}; next is {NAMES[second]} (factor {next(factors)}). "
-            f"Together, {len(self.factors)} features and the model explain {self.r_squared:.0%} of the "
-            f"variance of log time over {self.n_problems} problems; the searches of {self.n_open} ended "
-            "without a proof."
+            f"Together, {len(self.factors)} features and the model explain {100 * self.r_squared:.0f} % "
+            f"of the variance of log time over {self.n_problems} problems; the searches of {self.n_open} "
+            "ended without a proof."
         )
 
 

@@ -270,7 +270,7 @@ def test_false_bounds_are_refused_with_the_reason(place):
     other = certificate_of(find_problem("fish-60-noise-05"))
     assert "differs from the cloud" in bound(place, other, 0.1).refused[0]
     fewer = replace(true, n_inliers=59)
-    assert "it is about model, n_inliers" in bound(place, fewer, 0.1).refused[0]
+    assert "its model, n_inliers" in bound(place, fewer, 0.1).refused[0]
     missing = submitted(place, better_bound={"lower_bound": 0.1, "proof": "nothing.npz"})
     assert "no such file" in missing.refused[0]
     assert read_record(ONE.id, place).bounds == []

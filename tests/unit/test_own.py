@@ -78,9 +78,7 @@ def test_methods_and_datasets_next_to_a_config_are_found(study: Path) -> None:
     config.load(str(study / "mine.yaml"))
     assert os.environ[registry.SEARCH_PATH] == str(study / "baselines")
     (note,) = size_notes(plan)
-    assert note.startswith(
-        "my_scans: clouds of more than 300 points are reduced to 300 (n_points in"
-    )
+    assert note.startswith("my_scans: clouds of more than 300 points are reduced to 300; to change")
     (study / "baselines" / "my_method").rename(study / "baselines" / "icp")
     with pytest.raises(
         registry.BaselineError, match="'icp' is defined twice: by baselines/icp and b"
