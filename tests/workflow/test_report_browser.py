@@ -293,6 +293,9 @@ def test_phone_has_no_sideways_scroll_and_stacked_panels(page, scheme):
     page.refresh()
     element = drawn(page, "levels-similarity2d")
     drawn(page, "bounds")
+    page.execute_script(
+        "chips.forEach(chip => chip.append(' and a name wider than a phone'.repeat(3)))"
+    )
     assert page.execute_script("return document.documentElement.scrollWidth") <= 390
     domains = page.execute_script(
         f"return Object.entries({element}.layout).filter(([k]) => /^xaxis/.test(k))"
