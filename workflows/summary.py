@@ -17,7 +17,7 @@ from data.registry import GROUP as DATASETS
 from dcreg.plugins import plugins
 from dcreg.text import percent
 from workflows import records
-from workflows.labels import distinct
+from workflows.labels import display_names, distinct
 from workflows.metrics import BROKEN, METRICS
 from workflows.metrics import GROUP as ADDED_METRICS
 from workflows.outcomes import attempted, comparable_times
@@ -85,15 +85,16 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
     """Print the planned runs with their estimated time, and the path of their report."""
     console = console or Console(width=None if os.isatty(1) else 120)
     table = Table(title=f"{plan.experiment.name}", title_justify="left", title_style="bold")
-    for name in ("method", "model", "tests"):
+    for name in ("method", "key", "model", "tests"):
         table.add_column(name)
     for name in ("runs", "finished", "time of the rest"):
         table.add_column(name, justify="right")
     outlook = outlook_of(plan, folder)
+    names = display_names(plan.experiment.methods)
     for row in outlook:
         time = duration(row.seconds)
         table.add_row(
-            *(row.method, row.model, ", ".join(row.tests)),
+            *(escape(names[row.method]), row.method, row.model, ", ".join(row.tests)),
             *(str(row.runs), str(row.finished), time if row.known else f"at most {time}"),
         )
     console.print(table)

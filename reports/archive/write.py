@@ -15,6 +15,7 @@ from typing import Any
 import pandas as pd
 
 from dcreg.files import whole_file
+from reports.archive import clouds
 from reports.archive.crate import describe
 from reports.archive.sources import public, write_readme, write_sources
 from reports.ledger.evidence import STUDY
@@ -26,6 +27,7 @@ from workflows.integrity import digest
 
 MOST_EVENTS = 64  # of a run's bound history
 MOST_BYTES = 25_000_000  # of an archive
+SHARE_BEFORE_CHECKSUMS = 0.9  # of these bytes: clouds fill what the tables leave
 LOCK = CHECKOUT / "requirements.lock"
 # Columns of a history that the runs have as well.
 _SHARED = ["method", "instance_id"]
@@ -69,18 +71,24 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
         for each in tables
     }
     facts = _facts(shown, version)
+    room = int(SHARE_BEFORE_CHECKSUMS * MOST_BYTES) - _size(part)
+    for name, counts in clouds.write(tables, part, room).items():
+        facts["experiments"][name]["clouds"] = counts
     write_readme(added, version, facts["git"]["commit"], part)
     (part / "archive.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
     describe(part, facts)
     _write_checksums(part)
-    size = sum(path.stat().st_size for path in part.rglob("*") if path.is_file())
-    if size > MOST_BYTES:
+    if (size := _size(part)) > MOST_BYTES:
         raise ReportError(
             f"{part}: {size / 1e6:.1f} MB, more than {MOST_BYTES / 1e6:g}; archive fewer experiments"
         )
     shutil.rmtree(out, ignore_errors=True)
     part.rename(out)
     return out
+
+
+def _size(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def _with_tables(place: Path) -> Path | None:

@@ -55,7 +55,7 @@ function scatter({ both, labels, runs: [a, b] }, name, axis) {
   ];
 }
 
-const symbolOf = (method) => $(`[data-toggle-method="${CSS.escape(method)}"] .dot`).dataset.symbol;
+const symbolOf = (method) => $(`[data-toggle-method="${CSS.escape(method)}"]`).dataset.symbol;
 const percentOf = (p) => (p < 1e-4 ? "< 0.0001" : String(Number(p.toPrecision(2))));
 const cellOf = (tag, content, className = "") => Object.assign(document.createElement(tag), { textContent: content, className });
 
