@@ -190,9 +190,12 @@ def archive(
     size = sum(path.stat().st_size for path in folder.rglob("*"))
     say(f"archive   {folder} ({size / 1e6:.1f} MB)")
     if publish:
+        from reports.archive.sources import missing_code
         from reports.archive.write import pack
         from workflows.integrity import digest
 
+        for line in missing_code(folder):
+            say(f"warning   {line}")
         path = pack(folder)
         print(
             f"publish   {path}\n"

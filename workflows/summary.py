@@ -78,7 +78,7 @@ def print_summary(folder: Path, console: Console | None = None) -> None:
     report = folder / "report" / "index.html"
     if folder.parent.name == "parts":
         _print_path("this is a part; the whole experiment is in", folder.parents[1], console)
-    _print_path("report:" if report.is_file() else "no report yet:", report, console)
+    _print_report(report, console)
 
 
 def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = None) -> None:
@@ -107,7 +107,11 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
         f"finished; the rest takes {about} {duration(seconds / cores)} on {cores} cores, "
         "without the start and the compilation of methods"
     )
-    _print_path("report:", folder / plan.view / "report" / "index.html", console)
+    _print_report(folder / plan.view / "report" / "index.html", console)
+
+
+def _print_report(report: Path, console: Console) -> None:
+    _print_path("report:" if report.is_file() else "no report yet:", report, console)
 
 
 def _print_path(words: str, path: Path, console: Console) -> None:

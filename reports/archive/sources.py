@@ -22,6 +22,11 @@ AGAIN = "-again"  # ends the name of a repeated experiment: results are stored b
 CITATION = "CITATION.cff"
 README = "REPEAT.md"
 CODE = (".py", ".yaml", ".yml", ".toml", ".md")  # what is copied of a dataset: no clouds
+NOT_INCLUDED = "its code is not included"
+_REMEDY = {
+    "baselines": f"Set {methods.SEARCH_PATH} to the folder that holds it",
+    "data": f"Set {datasets.SEARCH_PATH} to the folder that holds it",
+}
 
 
 def write_sources(tables: Tables, out: Path) -> list[str]:
@@ -114,7 +119,7 @@ def _copies(names: Iterable[str], registry: Any, kind: str, out: Path) -> Iterab
                 else registry.dataset(name).card.folder
             )
         except (BaselineError, DataError) as error:
-            yield f"{name}: its code is not included: {error}"
+            yield f"{name}: {NOT_INCLUDED}: {_first_clause(error)}. {_REMEDY[kind]}, and publish again"
             continue
         is_own = registry is methods and methods.read_card(name).provenance == "own"
         if folder.parent != CHECKOUT / kind or is_own:
@@ -123,6 +128,17 @@ def _copies(names: Iterable[str], registry: Any, kind: str, out: Path) -> Iterab
             yield f"{name}: in `{kind}/{name}`" + (
                 "" if registry is methods else " without its clouds"
             )
+
+
+def _first_clause(error: Exception) -> str:
+    """Return a message without the names that are known, of which there are many."""
+    return str(error).partition(";")[0]
+
+
+def missing_code(archive: Path) -> list[str]:
+    """Return the lines of the readme about code that an archive does not have."""
+    lines = (archive / README).read_text(encoding="utf-8").splitlines()
+    return [line.strip(" -") for line in lines if NOT_INCLUDED in line]
 
 
 def _copy(place: Path, to: Path) -> None:

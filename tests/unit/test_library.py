@@ -9,9 +9,11 @@ import jsonschema
 import numpy as np
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
 import dcreg
 from data.library import evaluate, matchings, record, submit
+from data.library.__main__ import app
 from data.library.check import faulty_poses, faulty_proof, sampled_proofs
 from data.library.problem import (
     HERE,
@@ -51,6 +53,13 @@ def test_no_problem_has_changed_and_all_are_listed():
     assert changed_files(found)[0].startswith(f"{ONE.id}: its file is changed; restore it")
     del found[ONE.id]
     assert "is missing" in changed_files(found)[0]
+
+
+def test_exported_clouds_are_those_of_the_problem(tmp_path):
+    answer = CliRunner().invoke(app, ["export", ONE.name, str(tmp_path)])
+    assert f"--n-inliers {ONE.n_inliers}" in answer.stdout
+    for cloud, name in zip(ONE.clouds, ("source.txt", "target.txt"), strict=True):
+        np.testing.assert_array_equal(dcreg.read_points(tmp_path / name), cloud)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from data import fetch
 from data import registry as datasets
 from data.registry import read_card
 from dcreg.problem import apply_pose
-from reports.archive.sources import write_readme, write_sources
+from reports.archive.sources import missing_code, write_readme, write_sources
 from reports.archive.write import pack, write
 from reports.tables import ReportError, Tables
 from tests.unit import report_fixture
@@ -234,6 +234,7 @@ def test_an_archive_holds_config_and_code_of_ones_own_methods(study: Path) -> No
     assert "experiments/mine/config.yaml`\n  - my_method: in `baselines/my_method`" in (
         out / "REPEAT.md"
     ).read_text(encoding="utf-8")
+    assert missing_code(out) == []
     first = pack(out).read_bytes()
     assert pack(out).read_bytes() == first
     with zipfile.ZipFile(out.with_name("archive.zip")) as packed:
@@ -258,3 +259,16 @@ def test_an_archive_names_no_place_outside_of_the_checkout(study: Path) -> None:
     assert not [name for name, text in texts.items() if str(study).encode() in text]
     assert b"patient.ply" not in texts["provenance.json"]
     assert b"python -m workflows run config.yaml --methods icp" in texts["archive.json"]
+
+
+def test_an_archive_says_what_code_it_lacks_and_how_to_add_it(tmp_path: Path) -> None:
+    tables = Tables.load(report_fixture.write_tables(tmp_path / "tables"))
+    tables.provenance["methods"] = {"lost": {"baseline": "lost"}, "icp": {"baseline": "icp"}}
+    runs = tables.runs.assign(dataset="embedded")
+    added = write_sources(Tables(**{**vars(tables), "runs": runs}), tmp_path)
+    write_readme({"mine": added}, "1", "abc", tmp_path)
+    (line,) = missing_code(tmp_path)
+    assert line == (
+        "lost: its code is not included: unknown method 'lost'. Set DCREG_BASELINES_PATH to the folder "
+        "that holds it, and publish again"
+    )
