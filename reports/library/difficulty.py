@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import minimize
+from scipy.stats import norm
 
 from data.library.features import Features, features_of
 from data.library.problem import Problem
@@ -32,21 +34,23 @@ SHORTEST_S = 0.01  # shorter times are not resolved
 
 @dataclass(frozen=True)
 class Model:
-    """Least-squares fit of the logarithm of the CPU time to standardised features and the model.
+    """Fit of the logarithm of the CPU time of a proof to standardised features and the model.
+
+    The time of a search without a proof is a lower limit of the time of the proof (Tobin, 1958).
 
     Attributes
     ----------
     factors : dict
         Factor of the time for one standard deviation more of each feature.
-    r_squared : float
-        Share of the variance that all features explain.
+    explained : float
+        Share of the variance that all features explain, for the fitted normal distribution.
     n_problems : int
     n_open : int
-        Those whose search ended without a proof; their time is a lower limit.
+        Those whose search ended without a proof.
     """
 
     factors: dict[str, float]
-    r_squared: float
+    explained: float
     n_problems: int
     n_open: int
 
@@ -56,19 +60,16 @@ class Model:
         first, second = order[:2]
         factors = (f"{self.factors[name]:.2g}" for name in (first, second))
         return (
-            f"The best predictor of the time of a search is {NAMES[first]}: one standard deviation more "
+            f"The best predictor of the time of a proof is {NAMES[first]}: one standard deviation more "
             f"multiplies the time by {next(factors)}; next is {NAMES[second]} (factor {next(factors)}). "
-            f"Together, {len(self.factors)} features and the model explain {100 * self.r_squared:.0f} % "
-            f"of the variance of log time over {self.n_problems} problems; the searches of {self.n_open} "
-            "ended without a proof."
+            f"Together, {len(self.factors)} features and the model explain {100 * self.explained:.0f} % "
+            f"of the variance of log time over {self.n_problems} problems. {self.n_open} searches ended "
+            "without a proof; their times count as lower limits."
         )
 
 
 def table(known: Iterable[tuple[Problem, Record]]) -> pd.DataFrame:
-    """Return a row per problem: features, time of the solve with a certificate, and status.
-
-    Searches that ended without a proof had different limits, so all have the time of the longest one.
-    """
+    """Return a row per problem: features, time of the solve with a certificate, and status."""
     rows = []
     for problem, record in known:
         solve = proof_solve(record)
@@ -81,9 +82,7 @@ def table(known: Iterable[tuple[Problem, Record]]) -> pd.DataFrame:
                 "cpu_s": max(solve.cpu_s, SHORTEST_S), "is_limit": solve.status != "optimal",
             }
         )  # fmt: skip
-    found = pd.DataFrame(rows)
-    found.loc[found["is_limit"], "cpu_s"] = found["cpu_s"].max()
-    return found
+    return pd.DataFrame(rows)
 
 
 def proof_solve(record: Record) -> SolveEntry | None:
@@ -103,8 +102,23 @@ def fit(rows: pd.DataFrame) -> Model:
     is_3d = (rows["model"] == "rigid3d").to_numpy(float)
     design = np.column_stack([np.ones(len(rows)), is_3d, standard.to_numpy()])
     effort = np.log10(rows["cpu_s"].to_numpy())
-    weights, *_ = np.linalg.lstsq(design, effort, rcond=None)
-    left = effort - design @ weights
-    explained = 1.0 - float((left**2).sum() / ((effort - effort.mean()) ** 2).sum())
+    weights, spread = _censored_fit(design, effort, rows["is_limit"].to_numpy(bool))
+    signal = float(np.var(design @ weights))
     factors = {name: float(10.0**w) for name, w in zip(names, weights[2:], strict=True)}
+    explained = signal / (signal + spread**2)
     return Model(factors, explained, len(rows), int(rows["is_limit"].sum()))
+
+
+def _censored_fit(
+    design: np.ndarray, effort: np.ndarray, is_limit: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Return the most likely weights and standard deviation if some efforts are lower limits only."""
+
+    def loss(unknown: np.ndarray) -> float:
+        spread = np.exp(unknown[-1])
+        z = (effort - design @ unknown[:-1]) / spread
+        return -float(np.where(is_limit, norm.logsf(z), norm.logpdf(z) - unknown[-1]).sum())
+
+    start, *_ = np.linalg.lstsq(design, effort, rcond=None)
+    found = minimize(loss, [*start, np.log(np.std(effort - design @ start))], method="BFGS").x
+    return found[:-1], float(np.exp(found[-1]))

@@ -359,3 +359,19 @@ def test_a_method_receives_neither_pose_nor_pairs():
     assert instance.oracle_pairs is None
     assert instance.matches == {}
     assert instance.noise_bound > 0.0
+
+
+def test_times_of_searches_without_a_proof_are_lower_limits():
+    from reports.library.difficulty import Features, fit
+
+    rng = np.random.default_rng(0)
+    rows = pd.DataFrame({name: rng.uniform(1, 2, 300) for name in Features.__dataclass_fields__})
+    rows["model"] = "rigid3d"
+    overlap = (rows["overlap"] - rows["overlap"].mean()) / rows["overlap"].std()
+    proof_s = 10.0 ** (rng.normal(0, 0.1, 300) - overlap)
+    rows["is_limit"] = proof_s > 2.0
+    rows["cpu_s"] = proof_s.clip(upper=2.0)
+    model = fit(rows)
+    assert 50 < model.n_open < 250
+    assert model.factors["overlap"] == pytest.approx(0.1, rel=0.1)  # least squares: about 0.2
+    assert "overlap" in model.sentence()
