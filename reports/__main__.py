@@ -175,7 +175,7 @@ def archive(
 ) -> None:
     """Write all results to reports/archive/VERSION, which ships with the repository.
 
-    An archive also holds the configs and the code of one's own methods and datasets.
+    An archive also contains the configs and the code of your own methods and datasets.
     """
     from dcreg import __version__
     from reports.archive import crate, read
@@ -190,13 +190,16 @@ def archive(
     size = sum(path.stat().st_size for path in folder.rglob("*"))
     say(f"archive   {folder} ({size / 1e6:.1f} MB)")
     if publish:
+        from reports.archive.sources import missing_code
         from reports.archive.write import pack
         from workflows.integrity import digest
 
+        for line in missing_code(folder):
+            say(f"warning   {line}")
         path = pack(folder)
         print(
             f"publish   {path}\n"
-            "          upload it where files keep their address, and state this command with it:\n"
+            "          upload the file to a permanent address, and publish this command:\n"
             f"          make report ARCHIVE=<address> SHA256={digest(path)}"
         )
 

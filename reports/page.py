@@ -72,7 +72,7 @@ class Page:
     ) -> list[Download]:
         """Add a view of a figure as SVG and PDF, both as files next to the page and as downloads.
 
-        Without files for more than `MOST_PRINTED` methods: nobody could tell their lines apart.
+        There are no files for more than `MOST_PRINTED` methods, whose lines cannot be distinguished.
         """
         assert figure.grid is not None
         if len(self.styles) > MOST_PRINTED:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from baselines import registry
 from dcreg.files import whole_file
 from workflows import CHECKOUT, HISTORY, UserError, provenance, records
+from workflows.config import search_next_to
 from workflows.integrals import COLUMNS, integrals
 from workflows.integrity import digest
 
@@ -71,6 +72,8 @@ def of_results(folder: Path) -> Record:
         )
     runs = runs.join(integrals(runs, traces))
     about = {key: known[key] for key in _COPIED if key in known}
+    if config_file := known.get("config_file"):
+        search_next_to(CHECKOUT / config_file)
     is_own = known["git"]["commit"] == provenance.git_state()["commit"]
     about |= {
         "lock_sha256": digest(LOCK) if is_own else "",
@@ -94,7 +97,7 @@ def _fingerprint(runs: pd.DataFrame, method: str) -> str:
 
 
 def find(result: str, results: Path = Path("results")) -> Path:
-    """Return the folder of results that a name or a path stands for.
+    """Return the folder of results with this name or path.
 
     Raises
     ------

@@ -33,8 +33,8 @@ SUMMARISED = [
 def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     """Summarise the attempted runs per method and test.
 
-    A run without a pose counts with the worst RMSE and as no success; otherwise a method would look
-    better the more often it fails. Times are those of one machine; a run that failed has none.
+    A run without a pose counts with the worst RMSE and as no success, so that a method gains nothing by
+    failing. Times are those of one machine; failed runs have none.
     """
     times = comparable_times(runs).where(runs["outcome"] != "failed")
     tried = attempted(runs[SUMMARISED].assign(time_solve_s=times))
@@ -78,7 +78,7 @@ def print_summary(folder: Path, console: Console | None = None) -> None:
     report = folder / "report" / "index.html"
     if folder.parent.name == "parts":
         _print_path("this is a part; the whole experiment is in", folder.parents[1], console)
-    _print_path("report:" if report.is_file() else "no report yet:", report, console)
+    _print_report(report, console)
 
 
 def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = None) -> None:
@@ -101,13 +101,17 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
     for note in size_notes(plan):
         console.print(note, markup=False, highlight=False)
     seconds = sum(row.seconds for row in outlook)
-    at_most = "" if all(row.known for row in outlook) else "at most "
+    about = "about" if all(row.known for row in outlook) else "at most"
     console.print(
         f"{sum(row.runs for row in outlook)} runs, {sum(row.finished for row in outlook)} of them "
-        f"finished; the rest takes {at_most}about {duration(seconds / cores)} on {cores} cores, "
+        f"finished; the rest takes {about} {duration(seconds / cores)} on {cores} cores, "
         "without the start and the compilation of methods"
     )
-    _print_path("report:", folder / plan.view / "report" / "index.html", console)
+    _print_report(folder / plan.view / "report" / "index.html", console)
+
+
+def _print_report(report: Path, console: Console) -> None:
+    _print_path("report:" if report.is_file() else "no report yet:", report, console)
 
 
 def _print_path(words: str, path: Path, console: Console) -> None:

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
 from pathlib import Path
 from typing import Annotated, NoReturn
 
-import numpy as np
 import typer
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from data.contract import DataError
 from data.library.problem import HERE, LibraryError, Problem, all_problems, find_problem
 from data.library.record import Record, read_record
 
 app = typer.Typer(help=__doc__, add_completion=False, no_args_is_help=True)
-console = Console()
+console = Console(width=None if os.isatty(1) else 120)
 
 Name = Annotated[str, typer.Argument(help="NAME (the newest version) or NAME@VERSION.")]
 
@@ -27,7 +27,8 @@ def list_all(
     status: Annotated[str, typer.Option(help="Only easy, hard or open problems.")] = "",
 ) -> None:
     """List all problems with their bounds and status."""
-    table = Table("problem", "model", "points", "pairs", "objective", "lower bound", "status")
+    folded = [Column(name, overflow="fold") for name in ("problem", "model")]  # names are complete
+    table = Table(*folded, "points", "pairs", "objective", "lower bound", "status")
     counts: Counter[str] = Counter()
     for problem in all_problems().values():
         record = read_record(problem.id)
@@ -73,7 +74,8 @@ def export(
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / "source.txt", folder / "target.txt"]
     for path, points in zip(paths, clouds, strict=True):
-        np.savetxt(path, points, fmt="%r")
+        rows = (" ".join(map(repr, row)) for row in points.tolist())
+        path.write_text("".join(f"{row}\n" for row in rows), encoding="utf-8")
     scales = f" --scale-range {problem.scale_range[0]} {problem.scale_range[1]}"
     print(
         f"dcreg register {paths[0]} {paths[1]} --model {problem.model} "

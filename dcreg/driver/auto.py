@@ -245,8 +245,14 @@ class _Choice(abc.ABC):
         first = others[others < fit.best].max(initial=-1) + 1
         last = others[others > fit.best].min(initial=len(compared)) - 1
         low, high = min(chosen, compared[first].n_inliers), max(chosen, compared[last].n_inliers)
+        # many neighbours can exceed the largest possible number of pairs; it is listed once
+        distinct = {each.n_inliers: each for each in reversed(compared)}
         evidence = ChosenNumber(
-            compared, low, high, self._runner_up(fit, fits), self.budget.is_over
+            list(distinct.values())[::-1],
+            low,
+            high,
+            self._runner_up(fit, fits),
+            self.budget.is_over,
         )
         return at, evidence, fit.pose
 

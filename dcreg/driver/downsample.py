@@ -132,16 +132,19 @@ def refined(
     searched: Problem,
     budget: Budget,
     known: Matched | None = None,
+    init: np.ndarray | None = None,
 ) -> Result:
     """Return the result for all points from that of a sample.
 
-    The pose, the runner-up and the pose of the `known` pairs are refined, the best of them first. The
-    runner-up of the result then refers to all points.
+    The pose, the runner-up, the initial pose `init` of the user and the pose of the `known` pairs are
+    refined, the best of them first. The runner-up of the result then refers to all points.
     """
     _LOGGER.info("the search of the sample has ended; its pose is refined on all points")
     began = budget.elapsed()
     T = result.T_target_source
     others = [] if result.runner_up is None else [result.runner_up.T_target_source]
+    if init is not None:
+        others.append(init)
     if known is not None:
         others.append(known.T_target_source)
     by_neighbours = is_large(len(problem.source), len(problem.target)) and not budget.is_over

@@ -245,7 +245,8 @@ class Finish:
         if self.setup.is_sampled:
             searched = self.setup.searched[self.at]
             self._report_refinement(np.inf)
-            result = refined(result, problem, searched, self.budget, self.known)
+            init = self.setup.options.init
+            result = refined(result, problem, searched, self.budget, self.known, init)
             self._report_refinement(result.objective)
         result = self._exact(result)
         is_sample = result.downsampled is not None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gzip
 import json
+import re
 import shutil
 import zipfile
 from collections.abc import Sequence
@@ -15,7 +17,7 @@ import pandas as pd
 from dcreg.files import whole_file
 from reports.archive import clouds
 from reports.archive.crate import describe
-from reports.archive.sources import write_readme, write_sources
+from reports.archive.sources import public, write_readme, write_sources
 from reports.ledger.evidence import STUDY
 from reports.tables import ReportError, Tables, thin_trace
 from workflows import CHECKOUT, provenance, records
@@ -44,17 +46,20 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
     Raises
     ------
     ReportError
-        There are no results, or the archive would exceed `MOST_BYTES`.
+        There are no results, `version` is not a name, or the archive would exceed `MOST_BYTES`.
     """
+    if not re.fullmatch(r"\w[\w.+-]*", version):  # it names a folder, which is replaced
+        raise ReportError(f"version: {version!r}; use letters, digits, and . + - _ after the first")
     folders = [place for root in results for place in sorted(root.glob("*"))]
     places = [found for place in folders if (found := _with_tables(place)) is not None]
     tables = [Tables.load(place / "tables") for place in places]
     if not tables:
         raise ReportError(f"{', '.join(map(str, results))}: no results; run an experiment first")
+    shown = [dataclasses.replace(each, provenance=public(each.provenance)) for each in tables]
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
-    _write_tables(tables, part)
+    _write_tables(shown, part)
     for place, each in zip(places, tables, strict=True):
         if (needs := place / NEEDS).is_file():
             shutil.copyfile(needs, part / "experiments" / each.experiment / NEEDS)
@@ -65,7 +70,7 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
         each.experiment: write_sources(each, part / "experiments" / each.experiment)
         for each in tables
     }
-    facts = _facts(tables, version)
+    facts = _facts(shown, version)
     room = int(SHARE_BEFORE_CHECKSUMS * MOST_BYTES) - _size(part)
     for name, counts in clouds.write(tables, part, room).items():
         facts["experiments"][name]["clouds"] = counts
@@ -150,7 +155,7 @@ def _facts(tables: Sequence[Tables], version: str) -> dict[str, Any]:
         "version": version,
         "created": provenance.now(),
         "schema_version": records.SCHEMA_VERSION,
-        "git": provenance.git_state(),
+        "git": {key: value for key, value in provenance.git_state().items() if key != "untracked"},
         "lock_sha256": digest(LOCK),
         "machines": sorted({str(each.provenance.get("machine", {}).get("cpu")) for each in tables}),
         "experiments": {

@@ -41,7 +41,7 @@ function cardOf(data, { at, head = [] }) {
   return card;
 }
 
-// Own pairs of clouds have one level and one trial, which say nothing.
+// Own pairs of clouds have only one level and one trial, which are not shown.
 function titleOf(data, at) {
   const { values } = data, test = data.word("test", at).replaceAll("_", " ");
   const parts = [data.word("case", at)];

@@ -15,7 +15,7 @@ function once(key, make) {
   return remembered.get(key);
 }
 
-// A page that is opened from a disk can load scripts, and nothing else. Each calls `store`.
+// A page that is opened from a disk can load only scripts. Each of them calls `store`.
 const delivered = new Map();
 function store(name, text) { delivered.set(name, text); }
 
@@ -140,7 +140,7 @@ async function drawNow(element) {
   element.dataset.drawn = String(Number(element.dataset.drawn ?? 0) + 1);
 }
 
-// A point of a run, or a trace of one, opens the view of this run.
+// A click on a point or trace of a run opens the view of this run.
 function openRun({ points: [point] }) {
   const run = point.customdata ?? point.data.meta.run;
   if (run) location.hash = `run=${run}`;
@@ -223,7 +223,7 @@ function chosenInstance(data) {
   return instance;
 }
 
-// Opens on the stage that bounds most boxes, as stages of initial poses bound none.
+// The first stage shown is the one with most boxes; stages of initial poses bound none.
 function fillStages({ runs }) {
   const boxes = new Map();
   for (const run of runs) {
@@ -275,7 +275,7 @@ function runTraces(run, stage, work) {
       line(stage.upper, top, "upper bound", `${run.symbol}-open`, 1.2),
       line(gap, bottom, "gap"),
       ...(run.gap_tol ? [flat(run.gap_tol, bottom, "tolerance", run.method)] : []),
-      ...(run.truth !== null ? [flat(run.truth, top, "objective at the true pose", undefined)] : []),
+      ...(run.truth !== null ? [flat(run.truth, top, "objective at the reference pose", undefined)] : []),
     ];
   });
 }
@@ -328,7 +328,7 @@ const move = (points, T) => points.map((p) =>
 async function drawThumbnail(canvas) {
   const found = await recordOf(canvas.dataset.run).catch(tellMissing);
   if (!found?.clouds) {
-    canvas.replaceWith("not drawn: the tables hold no clouds");
+    canvas.replaceWith("not drawn: the tables contain no clouds");
     return;
   }
   const { clouds, record } = found;

@@ -14,7 +14,7 @@ const runsTable = () => once("runs", async () => {
   };
 });
 
-// title, and how a value is shown; words are those of the columns
+// title and format of each column; columns without a format contain words
 const COLUMNS = {
   run: ["run"], method: ["method"], model: ["model"], case: ["data"], test: ["test"], level: ["level", short], trial: ["trial", short],
   answer: ["verdict"], status: ["status"], rmse: ["RMSE", short], rotation: ["rotation error (°)", short],
@@ -119,7 +119,7 @@ function sortRuns(name) {
   listRuns();
 }
 
-// ---- when --------------------------------------------------------------------------------------
+// ---- events ------------------------------------------------------------------------------------
 
 // Calls `make` once the first screen is shown: what comes in later would move what a link leads to.
 const soon = (make) => setTimeout(() => make().catch(tellMissing), 100);

@@ -76,6 +76,15 @@ def test_many_points_are_compared_by_their_neighbours(monkeypatch):
     assert np.allclose(result.T_target_source, known.T_target_source, atol=0.1)
 
 
+def test_no_number_of_neighbours_is_listed_twice(monkeypatch):
+    monkeypatch.setattr(auto, "MANY_PAIRS", 100)
+    source, target = CLOUDS["rigid3d"]
+    result = dcreg.register(source, target[:12], model="rigid3d", node_limit=1)
+    numbers = [each.n_inliers for each in result.chosen_number.compared]
+    assert numbers == sorted(set(numbers))
+    assert numbers[-1] == 12
+
+
 def test_near_pairs_are_counted_one_to_one():
     target = np.array([[0.0, 0.0], [1.0, 0.0]])
     points = np.array([[0.0, 0.1], [0.0, -0.2], [1.0, 0.5], [9.0, 9.0]])

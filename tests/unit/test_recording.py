@@ -3,13 +3,15 @@
 import json
 import platform
 import re
+import shutil
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from baselines.registry import SEARCH_PATH
 from tests.unit.report_fixture import CASES, write_tables
-from workflows import recording
+from workflows import CHECKOUT, provenance, recording
 from workflows.integrals import COLUMNS, integral, integrals
 from workflows.records import SCHEMA_VERSION
 
@@ -39,6 +41,16 @@ def test_a_record_comes_back_with_integrals_and_identity(results, tmp_path):
     assert platform.node() not in (out / recording.ABOUT).read_text()
     direct = recording.read(str(results))[out.name]  # a folder of results needs no record
     pd.testing.assert_frame_equal(direct.runs, record.runs)
+
+
+def test_methods_next_to_the_config_are_found(results, tmp_path, monkeypatch):
+    monkeypatch.setenv(SEARCH_PATH, "")
+    shutil.copytree(CHECKOUT / "baselines" / "_template", tmp_path / "baselines" / "next_to")
+    path = results / "tables" / "provenance.json"
+    known = json.loads(path.read_text()) | {"config_file": str(tmp_path / "mine.yaml")}
+    known |= {"git": provenance.git_state(), "methods": {"next_to": {"baseline": "next_to"}}}
+    path.write_text(json.dumps(known))
+    assert recording.of_results(results).about["methods"]["next_to"]["code"]
 
 
 def test_a_committed_record_has_a_maximum_size(results, tmp_path, monkeypatch):

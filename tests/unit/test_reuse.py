@@ -111,6 +111,16 @@ def test_one_greedy_matching_of_large_clouds_serves_all_cardinalities_of_its_pos
 
 
 @pytest.mark.parametrize(("angle", "taken"), [(0.0, True), (3.0, False)])
+def test_the_initial_pose_is_compared_on_all_points(clouds, sample, angle, taken):
+    """A sample may prefer another pose to that of the user."""
+    part, found = sample
+    found.T_target_source[:] = turned(1.5)
+    whole = Problem(*clouds, 40, "rigid3d")
+    result = refined(found, whole, part, Budget(), init=turned(angle))
+    assert np.allclose(result.rotation, np.eye(3), atol=0.05) == taken
+
+
+@pytest.mark.parametrize(("angle", "taken"), [(0.0, True), (3.0, False)])
 def test_the_runner_up_of_a_sample_is_compared_on_all_points(clouds, sample, angle, taken):
     """It may be the better pose there; the runner-up is then the other one."""
     part, found = sample

@@ -84,3 +84,6 @@ def test_the_outlook_counts_finished_runs_and_takes_their_times(tmp_path):
     assert (b.runs, b.finished, b.seconds, b.known) == (3, 0, 3 * 7.0, False)
     (part,) = outlook_of(expand(experiment, parse_selection(["methods=b", "levels=0.1"])), tmp_path)
     assert (part.method, part.runs) == ("b", 1)
+    console = Console(record=True, width=200)
+    print_plan(plan, tmp_path, 1, console)
+    assert "no report yet: " in console.export_text()
