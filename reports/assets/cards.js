@@ -15,7 +15,7 @@ function cardList(name, choose, order = "") {
     $(`#${name}-more`).hidden = part.length === rows.length;
   };
   $(`#${name}-more`).addEventListener("click", () => { count += CARDS; show(); });
-  whenNear($(`#${name}-cards`), show);
+  soon(show);
   return () => { count = CARDS; return show(); };
 }
 

@@ -121,16 +121,9 @@ function sortRuns(name) {
 
 // ---- events ------------------------------------------------------------------------------------
 
-// Calls `make` once an element is near the screen.
-function whenNear(element, make) {
-  const observer = new IntersectionObserver((entries) => {
-    if (!entries.some((entry) => entry.isIntersecting)) return;
-    observer.disconnect();
-    make().catch(tellMissing);
-  }, { rootMargin: "600px" });
-  observer.observe(element);
-}
-whenNear($("#runs"), headRuns);
+// Calls `make` once the first screen is shown: what comes in later would move what a link leads to.
+const soon = (make) => setTimeout(() => make().catch(tellMissing), 100);
+soon(headRuns);
 
 $("#runs-filter").addEventListener("input", () => listRuns());
 $$("[data-page]").forEach((button) => button.addEventListener("click", () => listRuns(listing.page + Number(button.dataset.page))));

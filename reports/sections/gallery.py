@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import Any
 
 from reports.page import Page, pack_json
@@ -11,7 +10,6 @@ from reports.tables import Tables
 ID = "gallery"
 TITLE = "Overlays"
 POSITION = 60
-CARDS = 12  # shown at first, as in cards.js
 
 
 def context(page: Page) -> dict[str, Any]:
@@ -19,11 +17,9 @@ def context(page: Page) -> dict[str, Any]:
     page.data["gallery"] = pack_json(
         {name: [item[name] for item in found] for name in ("run_id", "rank")}
     )
-    groups = Counter((item["model"], item["test"]) for item in found)
     return {
         "count": len(found),
-        "groups": list(groups),
-        "places": min(CARDS, next(iter(groups.values()), 0)),  # kept free, so that nothing moves
+        "groups": list(dict.fromkeys((item["model"], item["test"]) for item in found)),
         "ranks": list(dict.fromkeys(item["rank"] for item in found)),
     }
 

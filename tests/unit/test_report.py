@@ -128,7 +128,7 @@ def test_a_page_of_100_methods_stays_small(made_report, html, tables):
     assert fixed + len(sections.encode()) * 100 / len(tables.methods) < 2_000_000
     overlays = json.loads(data_of(made_report, "gallery"))
     assert sorted(overlays["run_id"]) == sorted(item["run_id"] for item in tables.overlays)
-    assert 0 < html.count('class="card"') == html.count('class="card"></article>') <= 12
+    assert 'class="card"' not in html  # cards are made in the browser
     cards = json.loads(data_of(made_report, "parts-provenance"))
     assert len(cards) == html.count('class="method-card"') == len(tables.methods)
 
@@ -141,7 +141,8 @@ def test_every_success_rate_has_its_interval(made_report, tables):
         ends = binomtest(int(part["success"].sum()), len(part)).proportion_ci(0.95, "wilson")
         low, high = (round(100 * end) for end in ends)
         assert f"[{low}, {high}]" in text
-    assert text.count("[") == tried.groupby(["model", "test", "method"]).ngroups
+    shown = re.findall(r"\[\d+, \d+\]", text)
+    assert len(shown) == tried.groupby(["model", "test", "method"]).ngroups
 
 
 def test_a_report_links_to_the_history_next_to_the_results(small, tmp_path):
