@@ -38,12 +38,12 @@ coverage: dev
 	@NUMBA_DISABLE_JIT=1 EXAMPLES=10 $(PYTEST) -q --timeout=1800 $(INTERPRETED) --cov=dcreg \
 	  --cov-report=term --cov-report=html:results/coverage
 
-## run: run the experiment CONFIG=demo|real2d|paper3d-quick|…; METHODS=a,b DATASETS=… TESTS=… select a part; BESIDE=1: on archived blocks
+## run: run the experiment CONFIG=demo|real2d|paper3d-quick|…; METHODS=a,b DATASETS=… TESTS=… select a part; BESIDE=1: on archived instances
 .PHONY: run
 run: setup
 	@$(BIN)/python -m workflows run $(CONFIG) --cores $(CORES) $(PART) $(BESIDE:%=--beside)
 
-## paper-2d: run the paper's 2D tests (POINTS=40: 40 points per shape). QUICK=1, also of the next five: at most 15 minutes each
+## paper-2d: run the paper's 2D tests (POINTS=40: 40 points per shape; QUICK=1, also for the next five targets: at most 15 minutes each)
 ## paper-2d-cr: run the tests of the public point sets of Chui and Rangarajan
 ## paper-2d-images: run the test on photographs, with edges and with manually marked points
 ## paper-3d: run the paper's 3D tests (POINTS=40: 40 points per shape)
@@ -55,7 +55,7 @@ paper-2d paper-2d-cr paper-2d-images paper-3d sensitivity threedmatch: setup
 	@$(BIN)/python -m workflows run $(EXPERIMENT) --cores $(CORES) $(PART) $(BESIDE:%=--beside)
 	@$(if $(filter threedmatch,$@),$(BIN)/python -m reports threedmatch $(EXPERIMENT) $(PART))
 
-## claims: check the claims of the paper against all available results; prints the path of the page
+## claims: check the claims of the paper against all available results; print the path of the page
 .PHONY: claims
 claims: setup
 	@$(BIN)/python -m reports claims
@@ -87,7 +87,7 @@ archive: setup
 snakemake-report: setup
 	@$(BIN)/python -m workflows snakemake-report $(CONFIG)
 
-## publish: write all results, configs and the code of own methods to results/published/VERSION.zip, and say how others read it
+## publish: write all results, configs and the code of your methods to results/published/VERSION.zip; print how others read it
 .PHONY: publish
 publish: setup
 	@$(BIN)/python -m reports archive --publish --version $(or $(VERSION),mine)
@@ -97,7 +97,7 @@ publish: setup
 report: setup
 	@$(BIN)/python -m reports archived $(ARCHIVE) $(if $(SHA256),--sha256 $(SHA256))
 
-## replay: repeat a stored run, RUN=run_id, and compare (RESULTS=folder of its results; BOXES=1: draw its boxes)
+## replay: repeat a stored run, RUN=run_id, and compare the results (RESULTS=folder of the stored run; BOXES=1: draw its boxes)
 .PHONY: replay
 replay: setup
 	@$(BIN)/python -m $(if $(BOXES),reports boxes,workflows replay) $(RUN) $(if $(RESULTS),--results $(RESULTS))
@@ -112,7 +112,7 @@ plan: setup
 baselines: setup
 	@$(BIN)/python -m workflows baselines
 
-## new-baseline: create a method from the template, NAME=name (IN=folder: outside of the checkout)
+## new-baseline: create a method from the template, NAME=name (IN=folder: in another folder than baselines)
 .PHONY: new-baseline
 new-baseline: setup
 	@$(BIN)/python -m workflows new-baseline $(NAME) $(if $(IN),--in $(IN))
@@ -150,13 +150,13 @@ first-call: dev
 profile: dev
 	@$(BIN)/python -m tests.bench.profiling
 
-## bounds: compare the bounds of all methods on the same boxes; prints the path of the page
+## bounds: compare the bounds of all methods on the same boxes; print the path of the page
 .PHONY: bounds
 bounds: setup
 	@$(BIN)/python -m workflows.studies.bounds results/bounds
 	@$(BIN)/python -m reports bounds results/bounds
 
-## faults: disturb sweeps of 500 runs by twelve kinds of faults and count what is lost or repeated (RUNS=48)
+## faults: disturb experiments of 500 runs by twelve kinds of faults; count lost and repeated runs (RUNS=48)
 .PHONY: faults
 faults: setup
 	@$(BIN)/python -m workflows.studies.faults results/faults --runs $(or $(RUNS),500)
@@ -206,14 +206,14 @@ refute: setup
 bad-input: dev
 	@$(BIN)/python -m tests.bad_input
 
-## record: run the experiment regression and record it in reports/history/VERSION (FROM="demo results/x": record these)
+## record: run the experiment regression and record it in reports/history/VERSION (FROM="demo results/x": record existing results)
 .PHONY: record
 record: setup
 	@$(if $(FROM),,$(BIN)/python -m workflows run regression --cores $(CORES) --fresh --no-report)
 	@$(BIN)/python -m workflows record $(or $(FROM),regression) $(if $(VERSION),--version $(VERSION))
 	@$(BIN)/python -m reports history
 
-## compare: compare recorded versions or results, BASE=… HEAD=… (TIMES=…, JSON=file, TEXT=file; EXACT=1: run by run)
+## compare: compare recorded versions or results, BASE=… HEAD=… (TIMES=table of timings; JSON=file, TEXT=file: write verdicts; EXACT=1: run by run)
 .PHONY: compare
 compare: setup
 	@$(BIN)/python -m workflows compare "$(BASE)" "$(HEAD)" $(if $(EXACT),--exact) $(if $(TIMES),--times $(TIMES)) \
@@ -224,17 +224,17 @@ compare: setup
 timings: dev
 	@$(BIN)/python -m tests.bench.interleaved $(OLD) results/timings/times.csv
 
-## history: draw the history of all recorded versions; prints the path of the page
+## history: draw all recorded versions; print the path of the page
 .PHONY: history
 history: setup
 	@$(BIN)/python -m reports history
 
-## library: run a method on the library of problems with proven optima, SOLVER=name (LIMIT=10 seconds; PROBLEMS="tiny fish"); print its table
+## library: run the method SOLVER=name on the library of problems with proven optima and print its table (LIMIT=10 seconds; PROBLEMS="tiny fish")
 .PHONY: library
 library: setup
 	@$(BIN)/python -m workflows.library run $(or $(SOLVER),dcreg) $(PROBLEMS) $(if $(LIMIT),--limit $(LIMIT))
 
-## library-check: check all poses of the library by two evaluators, and a sample of its proofs (ALL=1: every stored proof)
+## library-check: check all poses of the library by two evaluators, and a sample of its proofs (ALL=1: all stored proofs)
 .PHONY: library-check
 library-check: setup
 	@$(BIN)/python -m data.library check $(if $(ALL),--all)

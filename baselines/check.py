@@ -1,7 +1,7 @@
 """Check methods against the contract: ``python -m baselines.check NAME|FOLDER|PACKAGE …``.
 
-NAME is a method, FOLDER that of a method or of several ones, and PACKAGE an installed package that adds
-methods by entry points. Exit code 0: no rule is broken; 1: at least one is; 2: there is no such method.
+NAME is a method, FOLDER contains one method or several, and PACKAGE is an installed package that adds
+methods by entry points. Exit code: 0 if no rule is broken, 1 if one is, 2 if there is no such method.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ OK, SKIPPED, BROKEN = "ok", "skipped", "BROKEN"
 
 
 def candidates(text: str) -> list[Candidate]:
-    """Return the methods that a name, a folder or a package stands for.
+    """Return the methods of a name, a folder or a package.
 
     Raises
     ------
@@ -52,7 +52,9 @@ def candidates(text: str) -> list[Candidate]:
             f"{text}: a package that is not installed; run `{os.path.relpath(sys.executable)} -m pip "
             f"install --no-deps --no-build-isolation --editable {text}`"
         )
-    raise BaselineError(f"{text}: no card.yaml and adapter.py in this folder or directly below it")
+    raise BaselineError(
+        f"{text}: no card.yaml and adapter.py here or in a subfolder; name the folder of a method"
+    )
 
 
 def _adds(text: str, plugin: Plugin) -> bool:
@@ -73,7 +75,7 @@ def _normalised(name: str) -> str:
 
 
 def results(method: Candidate) -> Iterator[tuple[str, str, str]]:
-    """Yield each rule with its result, and why it is broken or was not checked."""
+    """Yield the result of each rule, the rule, and why it is broken or was not checked."""
     try:
         models = method.card.models
         method.load()

@@ -55,7 +55,7 @@ def roots() -> list[Path]:
     Raises
     ------
     BaselineError
-        The environment variable names what is no folder.
+        An entry of the environment variable is not a folder.
     """
     entries = filter(None, os.environ.get(SEARCH_PATH, "").split(os.pathsep))
     extra = [Path(entry).expanduser().resolve() for entry in entries]
@@ -89,7 +89,7 @@ def folder_of(name: str, root: Path | None = None) -> Path:
     Raises
     ------
     BaselineError
-        The method is unknown, defined by two parties, or its package has no such folder.
+        The method is unknown, it is defined twice, or its package has no such folder.
     """
     places = [place / name for place in ([root] if root else roots()) if name in names(place)]
     added = [] if root else _plugins_named(name)
@@ -121,7 +121,7 @@ def _plugins_named(name: str) -> list[Plugin]:
 
 
 def bad_name(name: str) -> str:
-    """Return why `name` cannot be that of a method."""
+    """Return why `name` is not a valid name of a method."""
     return f"{name!r} cannot name a method: use a lower-case letter, then letters, digits or _"
 
 
@@ -288,8 +288,8 @@ def code_hash(name: str, root: Path | None = None) -> str:
 def code_of(name: str, root: Path | None = None) -> list[Path]:
     """Return the files that determine the results of a method: its folder and its imports.
 
-    All files of the folder but the card count, including child processes and data files. Of a package
-    that adds the method, all files count.
+    All files of the folder except the card count, including child processes and data files. All files
+    of a package that adds the method count.
     """
     folder = folder_of(name, root)
     if root is None and (added := _plugins_named(name)):

@@ -65,9 +65,9 @@ class Card(BaseModel):
     notes: str = ""
     loader: str  # a stock loader of data/loaders.py, or "own" for loader.py in the same folder
     parameters: dict[str, Any] = {}  # for the loader
-    # A pose is a success if each error that has a limit here is below it: the RMSE of the true pairs and
-    # the error of the translation in the unit of the target, the error of the rotation in degrees.
-    # Without any: `workflows.metrics.errors.SUCCESS_SHARE`
+    # Limits of the errors of a successful pose, which is below all that are given: RMSE of the true pairs
+    # and translation error in the unit of the target, rotation error in degrees. If none is given, the
+    # general rule applies: `workflows.metrics.errors.SUCCESS_SHARE`
     success_rmse: float | None = Field(default=None, gt=0)
     success_rotation_deg: float | None = Field(default=None, gt=0)
     success_translation: float | None = Field(default=None, gt=0)
@@ -102,7 +102,7 @@ class Card(BaseModel):
 
     @property
     def folder(self) -> Path:
-        """The folder of the dataset, from which relative paths begin."""
+        """The folder of the dataset, to which relative paths refer."""
         return self.path.parent
 
     @property
@@ -220,7 +220,7 @@ class Dataset(abc.ABC):
         return {}
 
     def size_note(self, n_points: int | None) -> str:
-        """Say how clouds are reduced if a config asks for `n_points`; empty if they are not."""
+        """Return how clouds are reduced to `n_points` of the config; empty if they are not."""
         return ""
 
     def local_files(self) -> list[Path]:

@@ -88,8 +88,8 @@ class CloudPairs(RecordedDataset):
     def size_note(self, n_points: int | None) -> str:
         most = n_points or self.parameters.n_points
         return (
-            f"{self.name}: clouds of more than {most} points are reduced to {most} (n_points in the "
-            f"config, or in parameters of {self.where})"
+            f"{self.name}: clouds of more than {most} points are reduced to {most}; to change this, set "
+            f"n_points in the config, or in parameters of {self.where}"
         )
 
     def local_files(self) -> list[Path]:

@@ -95,7 +95,7 @@ class Found(Mapping[str, Dataset]):
     *roots : Path
         Folders that contain folders of datasets.
     added : sequence of Plugin
-        Those of packages.
+        Datasets of installed packages.
     """
 
     def __init__(self, *roots: Path, added: Sequence[Plugin] = ()) -> None:
@@ -144,7 +144,7 @@ def datasets() -> Found:
     Raises
     ------
     DataError
-        The environment variable names what is no folder.
+        An entry of the environment variable is not a folder.
     """
     return _datasets(os.environ.get(SEARCH_PATH, ""), tuple(plugins(GROUP)))
 

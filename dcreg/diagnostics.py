@@ -104,7 +104,7 @@ class Case:
 
     @cached_property
     def undetermined(self) -> str | None:
-        """The warning of `undetermined`, which makes others meaningless."""
+        """The warning that the pairs do not determine the pose; it makes others meaningless."""
         return _undetermined(self)
 
     @cached_property

@@ -102,7 +102,7 @@ def _plugin(point: metadata.EntryPoint) -> Plugin:
 
 
 def files_of(plugin: Plugin) -> list[Path]:
-    """Return all files of the package of a plug-in but compiled ones; none if it is missing."""
+    """Return all files of the package of a plug-in except compiled ones; none if it is missing."""
     try:
         package = plugin.package
     except PluginError:

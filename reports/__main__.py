@@ -175,7 +175,7 @@ def archive(
 ) -> None:
     """Write all results to reports/archive/VERSION, which ships with the repository.
 
-    An archive also holds the configs and the code of one's own methods and datasets.
+    An archive also contains the configs and the code of your own methods and datasets.
     """
     from dcreg import __version__
     from reports.archive import crate, read
@@ -199,7 +199,7 @@ def archive(
         path = pack(folder)
         print(
             f"publish   {path}\n"
-            "          upload it where files keep their address, and state this command with it:\n"
+            "          upload the file to a permanent address, and publish this command:\n"
             f"          make report ARCHIVE=<address> SHA256={digest(path)}"
         )
 

@@ -17,7 +17,7 @@ from reports.tables import ReportError
 from workflows.replay import Repetition
 
 HERE = Path(__file__).parent
-MOST_DRAWN = 20_000  # boxes of a slice; of more, the first ones
+MOST_DRAWN = 20_000  # boxes of a slice; if there are more, the first ones
 ENDS = 400  # rounds whose bounds the page states
 # Names of parameters, by their number: similarities in 2D, translations, rigid poses, rotations.
 _SHIFT = ("t_x", "t_y", "t_z")
@@ -36,7 +36,7 @@ def repeat(run_id: str, experiment: str, results: Path, out: Path) -> tuple[Path
     Raises
     ------
     ReportError
-        The method does not search boxes by the library.
+        The method does not search with `dcreg.search`.
     UserError
         As `workflows.replay.replay`.
     """
@@ -46,7 +46,7 @@ def repeat(run_id: str, experiment: str, results: Path, out: Path) -> tuple[Path
         result = repetition.result()
     if not recorder.stages:
         raise ReportError(
-            f"{run_id}: {repetition.run.method.name} does not divide boxes by dcreg.search; choose a run "
+            f"{run_id}: {repetition.run.method.name} does not search with dcreg.search; choose a run "
             "of DC-Reg"
         )
     page = out / f"{run_id}.html"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,11 @@ from reports.tables import Tables
 from workflows.discovery import modules
 
 HERE = Path(__file__).parent
+HISTORY = Path("history", "index.html")  # of all versions, in the folder of all results
 WHOLE = "whole.html"  # the same page in one file, to be sent or to be part of another report
 # The first one is needed by the others.
-SCRIPTS, STYLES = ("report.js", "versus.js", "runs.js", "run.js"), ("report.css", "runs.css")
+SCRIPTS = ("report.js", "versus.js", "runs.js", "cards.js", "run.js")
+STYLES = ("report.css", "runs.css")
 
 
 def build(tables_dir: Path, out: Path) -> None:
@@ -42,11 +45,21 @@ def build(tables_dir: Path, out: Path) -> None:
     found = ((part, part.context(page)) for part in order)
     parts = [(part, context) for part, context in found if context is not None]
     out.parent.mkdir(parents=True, exist_ok=True)
+    render = _renderer(page, parts)
     data = page.packed()
     write_data(data, out.parent)
-    render = _renderer(page, parts)
-    out.write_text(render(inside={}), encoding="utf-8")
-    out.with_name(WHOLE).write_text(render(inside=data), encoding="utf-8")
+    out.write_text(render(inside={}, history=_history_from(out.parent)), encoding="utf-8")
+    out.with_name(WHOLE).write_text(render(inside=data, history=""), encoding="utf-8")
+
+
+def _history_from(folder: Path) -> str:
+    """Return the relative address of the page of the history; empty if there is none.
+
+    A report is in ``results/NAME/report``, or in ``results/NAME/parts/PART/report``.
+    """
+    places = [parent / HISTORY for parent in folder.resolve().parents[:4]]
+    page = next(filter(Path.is_file, places), None)
+    return Path(os.path.relpath(page, folder.resolve())).as_posix() if page else ""
 
 
 def _renderer(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> Callable[..., str]:

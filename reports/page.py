@@ -47,6 +47,8 @@ class Page:
     data : dict of str to str
         Packed content by name. A page loads ``data/NAME.js`` when it needs it, as a script, because a
         page that is opened from a disk can load nothing else.
+    parts : dict of str to list of str
+        The content of closed parts of each section, as HTML, which a page shows when they are opened.
     """
 
     tables: Tables
@@ -55,6 +57,7 @@ class Page:
     figures: dict[str, Figure] = field(default_factory=dict)
     downloads: dict[str, Download] = field(default_factory=dict)
     data: dict[str, str] = field(default_factory=dict)
+    parts: dict[str, list[str]] = field(default_factory=dict)
 
     @cached_property
     def measured(self) -> Measured:
@@ -69,7 +72,7 @@ class Page:
     ) -> list[Download]:
         """Add a view of a figure as SVG and PDF, both as files next to the page and as downloads.
 
-        Without files for more than `MOST_PRINTED` methods: nobody could tell their lines apart.
+        There are no files for more than `MOST_PRINTED` methods, whose lines cannot be distinguished.
         """
         assert figure.grid is not None
         if len(self.styles) > MOST_PRINTED:
@@ -89,10 +92,17 @@ class Page:
         self.data[f"file-{name}"] = packing.pack(content)
         return download
 
+    def add_part(self, section: str, html: str) -> int:
+        """Add the content of a closed part; return its number in the section."""
+        known = self.parts.setdefault(section, [])
+        known.append(html)
+        return len(known) - 1
+
     def packed(self) -> dict[str, str]:
-        """Return all data of the page, figures and plotly.js, packed."""
+        """Return all data of the page, figures, closed parts and plotly.js, packed."""
         figures = {f"figure-{name}": pack_json(one.payload) for name, one in self.figures.items()}
-        return {**self.data, **figures, "plotly": packing.packed_plotly()}
+        parts = {f"parts-{name}": packing.pack_json(html) for name, html in self.parts.items()}
+        return {**self.data, **figures, **parts, "plotly": packing.packed_plotly()}
 
 
 def write_data(packed: Mapping[str, str], folder: Path) -> None:

@@ -78,7 +78,11 @@ def _matrix(tables: Tables, model: str, runs: pd.DataFrame) -> Matrix:
 
 
 def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
-    """Return the cell of each method. Holm's procedure covers the comparisons with the highest rate."""
+    """Return the cell of each method.
+
+    The same runs decide which method has the highest rate, so any two methods might have been compared.
+    The correction is therefore for all pairs of k methods: k / 2 times that for k - 1 comparisons.
+    """
     right = runs.pivot_table(
         index="instance_id", columns="method", values="success", aggfunc="first"
     )
@@ -94,7 +98,7 @@ def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
         shares = {name: right[name].mean() for name in rivals if counts[name] == most}
         best = max(shares, key=lambda name: shares[name])
         others = [name for name in rivals if shares.get(name) != shares[best]]
-        p_of = [_p_value(right[best], right[name]) for name in others]
+        p_of = [_p_value(right[best], right[name]) * len(rivals) / 2 for name in others]
         standing |= dict.fromkeys(rivals, BEST)
         for name, p, level in zip(others, p_of, holm(p_of), strict=True):
             standing[name] = WORSE if p <= level else TIED
@@ -105,18 +109,12 @@ def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
 
 
 def _p_value(best: pd.Series, other: pd.Series) -> float:
-    """Return the p-value of McNemar's exact test, one-sided, on the instances that both attempted."""
+    """Return the p-value of McNemar's exact test on the instances that both attempted."""
     both = best.notna() & other.notna()
     best, other = best[both].astype(bool), other[both].astype(bool)
-    return float(exact_p((best & ~other).sum(), (~best & other).sum(), one_sided=True))
+    return float(exact_p((best & ~other).sum(), (~best & other).sum()))
 
 
-def exact_p(wins: ArrayLike, losses: ArrayLike, *, one_sided: bool = False) -> np.ndarray:
-    """Return p-values of the exact sign test; of right and wrong poses, it is McNemar's test.
-
-    One-sided, the alternative is that wins are more likely than losses.
-    """
-    wins, total = np.asarray(wins), np.add(wins, losses)
-    if one_sided:
-        return binom.sf(wins - 1, total, 0.5)
-    return np.minimum(1.0, 2.0 * binom.cdf(np.minimum(wins, losses), total, 0.5))
+def exact_p(wins: ArrayLike, losses: ArrayLike) -> np.ndarray:
+    """Return p-values of the exact two-sided sign test; of right and wrong poses, McNemar's test."""
+    return np.minimum(1.0, 2.0 * binom.cdf(np.minimum(wins, losses), np.add(wins, losses), 0.5))

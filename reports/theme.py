@@ -202,7 +202,7 @@ def linear_rgb(color: str) -> np.ndarray:
 
 
 def hex_of(linear: np.ndarray) -> str:
-    """Return a colour in linear RGB as hex; values outside of 0 to 1 are cut."""
+    """Return a colour in linear RGB as hex; values outside 0 to 1 are clipped."""
     clipped = np.clip(linear, 0.0, 1.0)
     encoded = np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
     return "#" + "".join(f"{round(255 * value):02x}" for value in encoded)

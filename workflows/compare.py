@@ -1,15 +1,16 @@
 """Compare two recorded versions: one verdict per experiment, method and metric.
 
-- Work counters are integers that do not depend on the machine: a single differing run is a real change.
-- A lost pose is a regression, whatever the cause; so is a certificate lost otherwise than by
-  a time or memory limit.
+- Work counters are integers that do not depend on the machine: one run that differs is a real change.
+- A lost pose is always a regression. A lost certificate is one unless the run hit a time or memory limit.
 - Success, certificates, RMSE, objective and integrals over boxes are paired over the same instances and
   judged by a sign test; a difference that may be due to chance is ``unclear``.
 - Runs that hit the time or memory limit are excluded from counters, RMSE, objective and integrals,
   as they end at another point in each execution; they count in poses, success and the certified share.
-- Runs of a method that is not installed on one side are excluded.
-- Times of records are measured once and at different moments. They are compared within one machine only,
-  and never fail a comparison. Times that were measured in turn (`tests.bench.interleaved`) do.
+- Between records of two machines, such runs are excluded from poses, success and certificates too.
+- Runs of a method that is not installed on one side are excluded, and methods whose options, limits or
+  prior differ in the two records.
+- Times of records are measured once, on different days. They are compared only on the same machine and
+  are never regressions. Times that were measured in turn (`tests.bench.interleaved`) can be.
 
 Only the verdict ``worse`` is a regression.
 """
@@ -27,12 +28,13 @@ from workflows import HISTORY, UserError
 from workflows.integrals import KINDS
 from workflows.metrics import METRICS
 from workflows.outcomes import TIMED
-from workflows.recording import read
+from workflows.recording import Record, read
 from workflows.timing import COUNTERS, judge, judge_once, judge_work
 
 QUALITY = ("rmse", "objective")
 SAME = 1e-6  # relative difference up to which two floating-point results are equal
 SIGNIFICANT = 0.05
+SETTINGS = ("options", "n_inliers_ratio", "limits")  # of a method, in a record
 
 
 class CompareError(UserError):
@@ -41,7 +43,7 @@ class CompareError(UserError):
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of one metric of one method.
+    """The verdict on one metric of one method.
 
     `lost` and `won` are the instances that are worse and better in the head.
     """
@@ -97,13 +99,12 @@ def compare(
             f"{base} has {', '.join(old)} and {head} has {', '.join(new)}: no experiment in common; "
             "record the same experiment for both"
         )
-    verdicts = [
-        verdict
-        for name in shared
-        for verdict in judge_experiment(name, old[name].runs, new[name].runs)
-    ]
+    verdicts = [verdict for name in shared for verdict in judge_records(name, old[name], new[name])]
     if all(verdict.verdict == "not compared" for verdict in verdicts):
-        raise CompareError(f"{base} and {head} share no instance; record both with the same config")
+        raise CompareError(
+            f"{base} and {head} share no instance and method with the same settings; record both with "
+            "the same config"
+        )
     if times is not None:
         verdicts += judge_times(times)
     return pd.DataFrame(map(asdict, verdicts))
@@ -138,12 +139,28 @@ def regressed(verdicts: pd.DataFrame) -> bool:
     return bool((verdicts["verdict"] == "worse").any())
 
 
-def judge_experiment(name: str, base: pd.DataFrame, head: pd.DataFrame) -> Iterator[Verdict]:
-    """Yield the verdicts on every method of one experiment."""
-    for method in dict.fromkeys([*base["method"], *head["method"]]):
-        yield from judge_method(
-            name, method, base[base["method"] == method], head[head["method"] == method]
-        )
+def judge_records(name: str, base: Record, head: Record) -> Iterator[Verdict]:
+    """Yield the verdicts on one experiment; methods with other settings are not compared."""
+    for method in dict.fromkeys([*base.runs["method"], *head.runs["method"]]):
+        old, new = (each.runs[each.runs["method"] == method] for each in (base, head))
+        if other := _other_settings(base, head, method):
+            sizes = float(len(old)), float(len(new))
+            yield Verdict(name, method, "runs", "runs", "none", *sizes, "not compared", other)
+        else:
+            yield from judge_method(name, method, old, new)
+
+
+def _other_settings(base: Record, head: Record, method: str) -> str:
+    """Return which settings of a method differ between two records; empty if none does."""
+    old, new = (each.about.get("methods", {}).get(method, {}) for each in (base, head))
+    for name in (key for key in SETTINGS if key in old and key in new):
+        one, other = old[name], new[name]
+        if name == "limits":  # a later version may have more of them
+            shared = one.keys() & other.keys()
+            one, other = ({key: each[key] for key in sorted(shared)} for each in (one, other))
+        if one != other:
+            return f"{name} differ: {one} and {other}"
+    return ""
 
 
 def judge_method(
@@ -167,18 +184,35 @@ def judge_method(
     if pairs.empty:
         yield verdict("runs", "runs", "none", Judged(len(base), len(head), "not compared"))
         return
-    yield verdict("without pose", "runs", "lower", _poses(pairs))
     yield verdict("wrong bounds", "runs", "lower", _wrong_bounds(pairs))
-    if pairs[["gap_base", "gap_head"]].notna().any(axis=None):
-        yield verdict("certified", "runs", "higher", _certified(pairs))
-    yield verdict("success", "runs", "higher", _success(pairs))
+    for metric, better, found in _of_fair_runs(pairs):
+        yield verdict(metric, "runs", better, found)
     for metric, unit, found in _of_steady_runs(pairs):
         yield verdict(metric, unit, "lower", found)
 
 
+def _of_fair_runs(pairs: pd.DataFrame) -> Iterator[tuple[str, str, Judged]]:
+    """Yield metric, direction and verdict of what a time limit decides fairly on one machine only."""
+    unfair = _timed(pairs) & (pairs["machine_id_base"] != pairs["machine_id_head"])
+    note = f"{unfair.sum()} runs at a limit excluded, from two machines" if unfair.any() else ""
+    fair = pairs[~unfair]
+    judges = {"without pose": ("lower", _poses), "success": ("higher", _success)}
+    if fair[["gap_base", "gap_head"]].notna().any(axis=None):
+        judges["certified"] = ("higher", _certified)
+    for metric, (better, judged) in judges.items():
+        found = Judged(np.nan, np.nan, "not compared") if fair.empty else judged(fair)
+        found.detail = _joined(found.detail, note)
+        yield metric, better, found
+
+
+def _timed(pairs: pd.DataFrame) -> pd.Series:
+    """Tell which runs hit the time or memory limit on at least one side."""
+    return pairs[["status_base", "status_head"]].isin(TIMED).any(axis=1)
+
+
 def _of_steady_runs(pairs: pd.DataFrame) -> Iterator[tuple[str, str, Judged]]:
-    """Yield metric, unit and verdict of what is compared over runs that no time limit cut."""
-    timed = pairs[["status_base", "status_head"]].isin(TIMED).any(axis=1)
+    """Yield metric, unit and verdict of all comparisons of runs without a time or memory limit."""
+    timed = _timed(pairs)
     steady = pairs[~timed]
     note = f"{timed.sum()} runs at a time or memory limit excluded" if timed.any() else ""
 
@@ -263,7 +297,7 @@ def _wrong_bounds(pairs: pd.DataFrame) -> Judged:
 
 
 def _certified(pairs: pd.DataFrame) -> Judged:
-    """Compare certificates; one that was lost otherwise than by a time or memory limit is a fact."""
+    """Compare certificates; one that is lost without a time or memory limit is a regression."""
     old, new = (pairs[f"status_{side}"].eq("optimal") for side in ("base", "head"))
     lost = old & ~new
     found = _paired(pairs, old.sum(), new.sum(), lost, new & ~old)
@@ -301,7 +335,7 @@ def _times(pairs: pd.DataFrame, name: str) -> Judged:
     timed = pairs[pairs[[*_sides(name)]].gt(0).all(axis=1)]
     timed = timed[timed["machine_id_base"] == timed["machine_id_head"]]
     if timed.empty:
-        return Judged(np.nan, np.nan, "not compared", "no run of both on one machine")
+        return Judged(np.nan, np.nan, "not compared", "no time of both versions on one machine")
     old, new = (timed[side].to_numpy(dtype=float) for side in _sides(name))
     before, after = (float(np.exp(np.log(side).mean())) for side in (old, new))
     word, ratio = judge_once(old, new)

@@ -170,7 +170,7 @@ def load(experiment: str) -> Experiment:
 
 
 def search_next_to(path: Path) -> None:
-    """Let folders ``baselines`` and ``data`` next to a config hold methods and datasets.
+    """Search the folders ``baselines`` and ``data`` next to a config for methods and datasets.
 
     Child processes inherit the two environment variables.
     """
@@ -184,7 +184,7 @@ def search_next_to(path: Path) -> None:
 def with_methods(settings: Experiment, names: Iterable[str]) -> Experiment:
     """Add methods by name, with their default options, to an experiment that lacks them.
 
-    Names that are no methods are left out: the check of a selection reports them.
+    Unknown names are ignored here; the check of the selection reports them.
     """
     known = {method.name for method in settings.methods}
     missing = [name for name in dict.fromkeys(names) if name not in known]

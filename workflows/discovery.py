@@ -20,7 +20,7 @@ def modules(package: ModuleType) -> list[ModuleType]:
 def added_modules(found: Iterable[Plugin], register: dict[str, Any]) -> dict[str, str]:
     """Import the modules of entry points, which fill a register; return the reason of each failure.
 
-    What a module registered before it failed is taken back.
+    Entries that a module made before it failed are removed.
     """
     broken = {}
     for plugin in found:

@@ -16,7 +16,7 @@ DATASET = "embedded"  # it needs no files
 def with_stand_ins(content: dict[str, Any]) -> dict[str, Any]:
     """Return a config whose shapes are replaced by embedded ones of the same dimension.
 
-    Recorded data have no stand-in and are left out, and so are shapes beyond the embedded ones.
+    Recorded data are left out, and so are further shapes once all embedded ones are used.
     """
     entries = [entry for entry in content["datasets"] if isinstance(entry, dict)]
     free = _embedded_shapes()
@@ -36,7 +36,7 @@ def _embedded_shapes() -> dict[int, list[str]]:
 
 
 def dims_of(entry: dict[str, Any]) -> Iterator[int]:
-    """Yield the dimension of each shape of an entry, if it is of a dataset of shapes."""
+    """Yield the dimension of each shape of an entry; nothing for recorded data."""
     with suppress(DataError):
         dataset = registry.dataset(str(entry.get("dataset")))
         if isinstance(dataset, PrototypeDataset):

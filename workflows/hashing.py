@@ -43,7 +43,7 @@ def digest_files(root: Path, entries: Iterable[str], length: int = 12) -> str:
 
 
 def digest_paths(paths: Iterable[Path], root: Path, length: int = 12) -> str:
-    """Hash files by content, and by names: relative to `root`, or alone if they lie elsewhere."""
+    """Hash the contents of files, and their paths relative to `root`, or names if they are elsewhere."""
     named = [
         (path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name, path)
         for path in paths

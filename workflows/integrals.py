@@ -1,8 +1,9 @@
 """Primal, dual and gap integrals: how fast a search closes its gap, in one number per run.
 
-The gap of the incumbent, that of the lower bound and the gap between both lie between 0 (closed) and 1
-(nothing known). Each is integrated over seconds and over boxes until the run ends. The reference is the
-best upper bound of all runs with the same instance, number of pairs and scope of the certificate.
+Three relative gaps are integrated over seconds and over boxes until the run ends: from the reference to
+the upper bound (primal), from the lower bound to the reference (dual), and from the lower to the upper
+bound (gap). Each is between 0 (closed) and 1 (no bound). The reference is the minimum upper bound of all
+runs with the same instance, number of pairs and certificate scope.
 See T. Berthold, Measuring the impact of primal heuristics, Oper. Res. Lett. 41 (2013).
 """
 

@@ -12,7 +12,8 @@ from workflows.config import MethodSettings, with_note
 def display_names(methods: Iterable[MethodSettings]) -> dict[str, str]:
     """Return the displayed name of each method of an experiment, by its key.
 
-    Methods that would share a name state the options in which they differ, and as a last resort the key.
+    Methods with the same name get the options in which they differ as a note. If there are none, they get
+    their key.
     """
     methods = list(methods)
     groups: dict[str, list[MethodSettings]] = {}
@@ -41,7 +42,7 @@ def display_name(method: MethodSettings) -> str:
 
 
 def distinct(names: Mapping[str, str]) -> dict[str, str]:
-    """Return names by key; the key follows a name that several methods share."""
+    """Return names by key; a name that several methods share is followed by the key."""
     counts = Counter(names.values())
     return {
         key: name if name and counts[name] == 1 else f"{name} [{key}]".strip()

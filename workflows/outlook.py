@@ -25,9 +25,9 @@ Times = dict[tuple[str, str, str], list[float]]  # seconds by method, model and 
 class Outlook:
     """The planned runs of a method on one model, and the estimated seconds of the unfinished ones.
 
-    ``known``: every unfinished run is estimated by the median time of the method's finished runs on its
-    test, including those of the quick part; a run that hit its time limit counts as the current limit.
-    Runs without an estimate count as the time limit.
+    A run is estimated by the median time of the method's finished runs on its test, including those of
+    the quick part; a run that hit its time limit counts as the current limit. ``known``: every unfinished
+    run has such an estimate. Runs without one count as the time limit.
     """
 
     method: str

@@ -97,7 +97,7 @@ def _fingerprint(runs: pd.DataFrame, method: str) -> str:
 
 
 def find(result: str, results: Path = Path("results")) -> Path:
-    """Return the folder of results that a name or a path stands for.
+    """Return the folder of results with this name or path.
 
     Raises
     ------

@@ -42,7 +42,7 @@ def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -
     experiment : str
         Config of the run; if empty, that of the stored run.
     results : Path
-        Folder of results in which the stored run is looked for, after the archives.
+        Folder of results that is searched for the stored run after the archives.
 
     Returns
     -------
@@ -100,7 +100,7 @@ class Repetition:
         return cls(plan, run, instance, method, stored)
 
     def result(self) -> dict[str, Any]:
-        """Solve the instance again by the warm method and compare; see `replay`."""
+        """Solve the instance again and compare the result; see `replay`."""
         limits = self.plan.experiment.limits_of(self.run.method).of_run()
         return _compared(self, self.method.solve(self.instance, limits))
 
@@ -144,7 +144,7 @@ def _compared(repetition: Repetition, solution: Solution) -> dict[str, Any]:
 
 
 def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: PlannedRun) -> str:
-    """Say whether a result equals the stored one, or why that cannot be said."""
+    """Say whether a result equals the stored one, or why they are not compared."""
     if stored is None:
         return "not compared: no stored run"
     for name, what in (("instance_digest", "instance"), ("fingerprint", "version of the method")):

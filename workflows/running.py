@@ -97,7 +97,7 @@ def run_snakemake(
     """Run Snakemake on experiment `name` below `directory`; return its exit code, or `INTERRUPTED`.
 
     The arguments must end with those of ``--config``. Later profiles override earlier ones. `view_of`
-    makes what shows the state of the runs; it is called once damaged results are set aside.
+    makes the view of the running experiment, after damaged results were set aside.
 
     Snakemake and its jobs form a separate process group. At Ctrl-C, SIGTERM or SIGHUP they receive
     SIGTERM, at which Snakemake starts no new job. At a second signal, or after `PATIENCE_S`, they are
@@ -168,8 +168,7 @@ def run_snakemake(
 def snakemake_report(directory: Path, name: str, config: Sequence[str], out: Path) -> None:
     """Write Snakemake's own report on the finished experiment `name` below `directory`.
 
-    `config` are the arguments of ``--config``. The report is one HTML file; Snakemake has all it needs
-    installed and downloads nothing.
+    `config` are the arguments of ``--config``. The report is one HTML file, made without a network.
 
     Raises
     ------

@@ -71,8 +71,8 @@ def instead_of(plan: Plan, missing: dict[str, str]) -> tuple[str, list[str]]:
             f"experiment {plan.experiment.name}: none of its data can be fetched here{remedy}"
         )
     print(
-        f"instead   the same tests on embedded shapes ({stand_in}), whose results are not those of the "
-        "data left out",
+        f"instead   the same tests on embedded shapes ({stand_in}); these results do not replace "
+        "those on the data left out",
         flush=True,
     )
     return stand_in, []

@@ -17,7 +17,7 @@ from data.registry import GROUP as DATASETS
 from dcreg.plugins import plugins
 from dcreg.text import percent
 from workflows import records
-from workflows.labels import distinct
+from workflows.labels import display_names, distinct
 from workflows.metrics import BROKEN, METRICS
 from workflows.metrics import GROUP as ADDED_METRICS
 from workflows.outcomes import attempted, comparable_times
@@ -33,8 +33,8 @@ SUMMARISED = [
 def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     """Summarise the attempted runs per method and test.
 
-    A run without a pose counts with the worst RMSE and as no success; otherwise a method would look
-    better the more often it fails. Times are those of one machine; a run that failed has none.
+    A run without a pose counts with the worst RMSE and as no success, so that a method gains nothing by
+    failing. Times are those of one machine; failed runs have none.
     """
     times = comparable_times(runs).where(runs["outcome"] != "failed")
     tried = attempted(runs[SUMMARISED].assign(time_solve_s=times))
@@ -85,25 +85,26 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
     """Print the planned runs with their estimated time, and the path of their report."""
     console = console or Console(width=None if os.isatty(1) else 120)
     table = Table(title=f"{plan.experiment.name}", title_justify="left", title_style="bold")
-    for name in ("method", "model", "tests"):
+    for name in ("method", "key", "model", "tests"):
         table.add_column(name)
     for name in ("runs", "finished", "time of the rest"):
         table.add_column(name, justify="right")
     outlook = outlook_of(plan, folder)
+    names = display_names(plan.experiment.methods)
     for row in outlook:
         time = duration(row.seconds)
         table.add_row(
-            *(row.method, row.model, ", ".join(row.tests)),
+            *(escape(names[row.method]), row.method, row.model, ", ".join(row.tests)),
             *(str(row.runs), str(row.finished), time if row.known else f"at most {time}"),
         )
     console.print(table)
     for note in size_notes(plan):
         console.print(note, markup=False, highlight=False)
     seconds = sum(row.seconds for row in outlook)
-    at_most = "" if all(row.known for row in outlook) else "at most "
+    about = "about" if all(row.known for row in outlook) else "at most"
     console.print(
         f"{sum(row.runs for row in outlook)} runs, {sum(row.finished for row in outlook)} of them "
-        f"finished; the rest takes {at_most}about {duration(seconds / cores)} on {cores} cores, "
+        f"finished; the rest takes {about} {duration(seconds / cores)} on {cores} cores, "
         "without the start and the compilation of methods"
     )
     _print_report(folder / plan.view / "report" / "index.html", console)

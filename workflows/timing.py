@@ -3,11 +3,11 @@
 `judge` takes the table of `tests.bench.interleaved`, in which two versions solve the same problems in
 turn, many times. The statistic of a repetition is the mean logarithm of the ratio head / base over the
 problems. Its Hodges-Lehmann estimate over the repetitions, with the interval of Wilcoxon's signed-rank
-test, is not moved by a few disturbed repetitions. A version is slower if the whole interval lies above
-`MARGIN`.
+test, changes little if a few repetitions are disturbed. A version is slower if the whole interval is
+above `MARGIN`.
 
-`judge_once` takes times that were measured once per instance, at different moments. They contain the load
-of the machine, so only a factor of `ONCE_MARGIN` is a difference.
+`judge_once` takes times that were measured once per instance, on different days. They depend on the load
+of the machine, so only a factor of `ONCE_MARGIN` counts as a difference.
 """
 
 from __future__ import annotations

@@ -21,9 +21,8 @@ def outcome(verdicts: pd.DataFrame) -> str:
     """Return the result of the comparison in a few words."""
     counts = verdicts["verdict"].value_counts()
     worse = int(counts.get("worse", 0))
-    others = [
-        f"{counts[word]} {word}" for word in ("better", "changed", "unclear") if word in counts
-    ]
+    kinds = ("better", "changed", "unclear", "not compared")
+    others = [f"{counts[word]} {word}" for word in kinds if word in counts]
     first = f"{worse} regression{'s' * (worse != 1)}" if worse else "no regression"
     return ", ".join([first, *others])
 
@@ -67,7 +66,7 @@ def print_verdicts(verdicts: pd.DataFrame, base: str, head: str) -> None:
 
 
 def markdown(verdicts: pd.DataFrame, base: str, head: str) -> str:
-    """Return a short text for a pull request: outcome, table of differences, instances on demand."""
+    """Return Markdown for a pull request: outcome, table of differences, foldable lists of instances."""
     sign = "❌" if regressed(verdicts) else "✅"
     lines = [f"### {sign} {base} → {head}: {outcome(verdicts)}", ""]
     different = [row for row in _rows(verdicts) if row.verdict != "same"]

@@ -40,7 +40,7 @@ def card_is_complete(method: Candidate) -> None:
 
 
 def colour_and_name_are_unique(method: Candidate) -> None:
-    """No other method has its colour or its displayed name."""
+    """Its colour and its displayed name differ from those of all other methods."""
     card = method.card
     for name in registry.names():
         if name == method.name:
@@ -78,7 +78,7 @@ def every_parameter_is_read(method: Candidate) -> None:
 
 
 def numbers_have_ranges(method: Candidate) -> None:
-    """Every number has a range that its default lies in."""
+    """Every numerical parameter has a range that contains its default."""
     card = method.card
     for option, default in card.parameters.items():
         entries = default if isinstance(default, list) else [default]

@@ -57,7 +57,7 @@ def pose_is_proper(method: Candidate, model: str) -> None:
     gram = pose[:d, :d].T @ pose[:d, :d]
     require(
         np.allclose(gram, scale**2 * np.eye(d), rtol=0, atol=1e-8),
-        f"the {d} x {d} part of the pose is no rotation times a scale; project it",
+        f"the {d} x {d} part of the pose is not a rotation times a scale; project it",
     )
 
 
@@ -153,7 +153,7 @@ def stops_near_its_time_limit(method: Candidate, model: str) -> None:
     taken = time.process_time() - start
     require(
         taken < MOST_LATE_S,
-        f"{taken:.1f} s of processor time with limits.time_s = {SHORT_S}; check limits.budget()",
+        f"{taken:.1f} s of CPU time with limits.time_s = {SHORT_S}; check limits.budget()",
     )
     finished = solution.status in (Status.CONVERGED, Status.OPTIMAL, Status.FAILED)
     require(
@@ -164,7 +164,7 @@ def stops_near_its_time_limit(method: Candidate, model: str) -> None:
 
 
 def stops_near_a_limit_on_assignments(method: Candidate, model: str) -> None:
-    """A method that counts assignments stops at their limit: between two boxes, so slightly later."""
+    """A method that counts assignments stops soon after their limit."""
     card, first = method.card, method.solved(model)
     counts_them = "n_assignments" in first.counters
     require(
@@ -183,13 +183,13 @@ def stops_near_a_limit_on_assignments(method: Candidate, model: str) -> None:
         require(in_time, f"status {found.status!r} with limits.assignments = {limit}")
         counts.append(found.counters["n_assignments"])
     most = counts[0] + searches * 300 + MOST_OF_A_STEP
-    require(counts[1] <= most, f"{counts[1]} assignments with a limit of 300; stop at it")
+    require(counts[1] <= most, f"{counts[1]} assignments with a limit of 300; stop at the limit")
     if found.status is Status.ASSIGNMENT_LIMIT:
         require(counts[1] >= 300, f"ASSIGNMENT_LIMIT after {counts[1]} of 300 assignments")
 
 
 def awkward_sizes_are_handled(method: Candidate, model: str) -> None:
-    """Few points, one pair, n != m, coinciding points: a pose or a reason, no exception."""
+    """Few points, one pair, n != m and coinciding points give a pose or a message, no exception."""
     loaded, easy = method.runnable(), easy_instance(model)
     cases = [
         (easy.source[:5], easy.target[:9], 4),
@@ -214,7 +214,10 @@ def awkward_sizes_are_handled(method: Candidate, model: str) -> None:
 
 
 def solves_the_easy_instance(method: Candidate, model: str) -> None:
-    """A method registers 25 or 42 points that are slightly moved; FPFH needs more points."""
+    """The method registers 25 or 42 points that are slightly moved.
+
+    FPFH needs more points, so methods that use it are not checked.
+    """
     if method.card.input.startswith("FPFH"):
         raise NotCheckedError(f"its input is {method.card.input}")
     solution, instance = method.solved(model), easy_instance(model)
@@ -225,7 +228,8 @@ def solves_the_easy_instance(method: Candidate, model: str) -> None:
     distances = np.linalg.norm(moved[:, None] - instance.target[None], axis=2).min(axis=0)
     error, most = np.sqrt((distances**2).mean()), 0.05 * rms_radius(instance.target)
     require(
-        error < most, f"the RMS distance to the source is {error:.3g}, at most {most:.3g} expected"
+        error < most,
+        f"the RMS distance of the target points to the moved source is {error:.3g}, above {most:.3g}",
     )
 
 

@@ -11,14 +11,21 @@ from pathlib import Path
 from data.contract import DataError
 from data.library.evaluate import admissible, evaluate
 from data.library.matchings import best_of_all_matchings
-from data.library.problem import HERE, PROBLEMS, LibraryError, Problem, read_problem
+from data.library.problem import (
+    CHECKSUMS,
+    PROBLEMS,
+    LibraryError,
+    Problem,
+    changed_files,
+    checksums,
+    read_problem,
+)
 from data.library.record import LAST_DIGITS, PROOFS, Enumeration, Record, read_record
 from data.library.submit import checked_proof, proof_path
 from dcreg.files import write_text
 
-CHECKSUMS = HERE / "checksums.json"
 SAMPLE_EVERY = 4  # of the stored proofs, in the order of their names
-QUICK_CHECK_S = 5.0  # a proof of the sample took at most so long
+QUICK_CHECK_S = 5.0  # time for a proof of the sample, at most
 
 Say = Callable[[str], None]
 
@@ -34,14 +41,6 @@ class Checked:
     faults: list[str] = field(default_factory=list)
 
 
-def checksums() -> dict[str, str]:
-    """Return the SHA-256 of every problem file, by ``NAME@VERSION``."""
-    return {
-        path.stem: hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(PROBLEMS.glob("*.json"))
-    }
-
-
 def write_checksums() -> Path:
     """Add the checksums of new problem files to the list.
 
@@ -55,17 +54,6 @@ def write_checksums() -> Path:
         raise LibraryError(faults[0])
     write_text(CHECKSUMS, json.dumps(found, indent=0) + "\n")
     return CHECKSUMS
-
-
-def changed_files(found: dict[str, str]) -> list[str]:
-    """Return a line for each listed problem file that differs from the list, or is missing."""
-    listed = json.loads(CHECKSUMS.read_text(encoding="utf-8")) if CHECKSUMS.is_file() else {}
-    return [
-        f"{problem_id}: its file is {'missing' if problem_id not in found else 'changed'}; restore it, "
-        "and give a corrected problem a new version"
-        for problem_id, sha256 in listed.items()
-        if found.get(problem_id) != sha256
-    ]
 
 
 def check(say: Say, *, every_proof: bool = False) -> Checked:
@@ -141,7 +129,9 @@ def faulty_proof(problem: Problem, record: Record, proofs: Path = PROOFS) -> lis
         path = proof_path(problem.id, bound.proof.sha256, proofs)
         try:
             if hashlib.sha256(path.read_bytes()).hexdigest() != bound.proof.sha256:
-                return [f"{problem.id}: proof: {path.name} is not the file that was accepted"]
+                return [
+                    f"{problem.id}: proof: {path.name} is not the file that was accepted; restore it"
+                ]
             proven = checked_proof(problem, path)[1].lower_bound
         except (LibraryError, OSError) as error:
             return [str(error)]

@@ -17,7 +17,7 @@ from dcreg.problem import InputError, checked_pose, nearest_rotation, scale_of
 def admissible(problem: Problem, given: Any) -> np.ndarray:
     """Return a pose of the model with an exact rotation and a scale in the range.
 
-    A pose that is slightly too small would have too small an objective; hence the correction of rounding.
+    Rounding is corrected, because a scale slightly below the range would give a lower objective.
 
     Raises
     ------
@@ -62,7 +62,8 @@ def plain_objective(
 ) -> float:
     """Return the objective with NumPy and SciPy only: an assignment padded to a square matrix.
 
-    n - k columns and m - k rows take the points without a partner; they do not take each other.
+    The additional n - k columns and m - k rows take the points without a partner. A high cost prevents
+    that they are matched with each other.
     """
     dim = source.shape[1]
     cost = cdist(source @ pose[:dim, :dim].T + pose[:dim, dim], target, "sqeuclidean")

@@ -1,4 +1,4 @@
-"""Features of a problem that may tell how hard it is."""
+"""Features of a problem that may predict the effort of a proof."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from data.library.problem import Problem
 from data.library.record import Record
 from dcreg.problem import median_spacing
 
-MIN_ANGLE_DEG = 40.0  # of a rotation that counts as another orientation
+MIN_ANGLE_DEG = 40.0  # smaller rotations do not count as another orientation
 TURNS_2D = 120
 TURNS_3D = 600
 

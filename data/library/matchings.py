@@ -20,7 +20,7 @@ class Enumerated(NamedTuple):
 
     optimum: float
     pose: np.ndarray
-    n_optima: int  # distinct poses that attain it
+    n_optima: int  # distinct poses with this objective
     n_matchings: int
 
 

@@ -1,13 +1,15 @@
 """The problems of the library, and their files. A file is never changed; a correction has a new version.
 
 ``problems/NAME@VERSION.json`` is valid under ``problem.schema.json``, which
-``python -m data.library schema`` writes from the classes of this module. Every number is written so that
-reading it gives the same double.
+``python -m data.library schema`` writes from the classes of this module. Numbers have enough digits to
+give the same doubles when they are read.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 from collections.abc import Iterable
 from functools import cache, cached_property
 from pathlib import Path
@@ -24,20 +26,22 @@ from dcreg.problem import suggestion
 
 HERE = Path(__file__).parent
 PROBLEMS = HERE / "problems"
+CHECKSUMS = HERE / "checksums.json"
 FAMILIES = (
     "paper", "public", "symmetry", "repetition", "near-tie", "decoy", "overlap", "tiny",
 )  # fmt: skip
 
 Matrix = list[list[float]]
-Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=60)]
+_NAME = r"[a-z][a-z0-9-]*"
+Name = Annotated[str, Field(pattern=f"^{_NAME}$", max_length=60)]
 
 
 class LibraryError(DataError, ValueError):
-    """Something is wrong with a problem, a record or a submission; the message names the field."""
+    """A problem, a record or a submission is invalid; the message names the field."""
 
 
 class Truth(BaseModel):
-    """The pose and the pairs of the construction. They need not be optimal."""
+    """The true pairs and the pose fitted to them. The pose need not be optimal."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -89,7 +93,7 @@ class Problem(BaseModel):
 
     @cached_property
     def clouds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Source and target; of a recipe, fetched and compared with the checksums.
+        """Source and target; the points of a recipe are fetched and compared with the checksums.
 
         Raises
         ------
@@ -171,7 +175,13 @@ def read_problem(path: Path) -> Problem:
 
 
 def validated(kind: type[Any], path: Path) -> Any:
-    """Read a JSON file as an object of a class of pydantic, or say what is wrong with it."""
+    """Read a JSON file as an object of a pydantic class.
+
+    Raises
+    ------
+    LibraryError
+        If the file is missing or invalid.
+    """
     try:
         return kind.model_validate_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -210,6 +220,26 @@ def find_problem(problem_id: str) -> Problem:
         problem_id = next((key for key in known if key.startswith(f"{problem_id}@")), problem_id)
     if problem_id in known:
         return known[problem_id]
-    if problem_path(problem_id).is_file():  # an older version
+    is_name = re.fullmatch(rf"{_NAME}@[0-9]+", problem_id)  # not a path to another file
+    if is_name and problem_path(problem_id).is_file():  # an older version
         return read_problem(problem_path(problem_id))
     raise LibraryError(f"no problem {problem_id!r}{suggestion(problem_id, known)}")
+
+
+def checksums() -> dict[str, str]:
+    """Return the SHA-256 of every problem file, by ``NAME@VERSION``."""
+    return {
+        path.stem: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(PROBLEMS.glob("*.json"))
+    }
+
+
+def changed_files(found: dict[str, str]) -> list[str]:
+    """Return a line for each listed problem file that differs from the list, or is missing."""
+    listed = json.loads(CHECKSUMS.read_text(encoding="utf-8")) if CHECKSUMS.is_file() else {}
+    return [
+        f"{problem_id}: its file is {'missing' if problem_id not in found else 'changed'}; restore it, "
+        "and give a corrected problem a new version"
+        for problem_id, sha256 in listed.items()
+        if found.get(problem_id) != sha256
+    ]

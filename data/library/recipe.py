@@ -15,8 +15,8 @@ DECIMALS = 6
 class Recipe(BaseModel):
     """Two clouds from a dataset of ``data/``.
 
-    A recorded dataset gives an instance. A prototype gives two halves of one sample, as two scanners
-    would see the same surface: points with even and odd ranks in farthest-point order.
+    A recorded dataset gives an instance. A shape is sampled in farthest-point order; the points with even
+    ranks are the source and those with odd ranks the target, like two scans of one surface.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

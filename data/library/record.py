@@ -73,10 +73,10 @@ class BoundEntry(_Entry):
 
 
 class SolveEntry(_Entry):
-    """One solve by this project's library: how hard the problem is for it."""
+    """One solve by `dcreg.register`, with its CPU time."""
 
     kind: Literal["solve"] = "solve"
-    options: dict[str, Any]  # of dcreg.SolveOptions; none: the default
+    options: dict[str, Any]  # of dcreg.SolveOptions; empty: the defaults
     status: str
     cpu_s: float = Field(ge=0.0)
 
@@ -144,12 +144,12 @@ class Record(BaseModel):
 
     @property
     def certificate(self) -> Proof | None:
-        """The certificate of the best bound; None if there is no bound, or none is needed."""
+        """The certificate of the best bound; None without a bound, or if all matchings prove it."""
         proof = None if self.best_bound is None else self.best_bound.proof
         return proof if isinstance(proof, Proof) else None
 
     def is_proven(self, problem: Problem) -> bool:
-        """Whether the gap is closed as `dcreg.register` closes it by default, or the fit is exact."""
+        """Whether the gap is at most the default tolerance of `dcreg.register`, or the fit is exact."""
         if self.lower_bound > 0.0 and self.gap <= DEFAULT_REL_GAP * (1 + LAST_DIGITS):
             return True
         if problem.needs_files or self.best_pose is None:

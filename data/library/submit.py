@@ -14,7 +14,15 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from data.library.evaluate import admissible, evaluate
-from data.library.problem import LibraryError, Matrix, Problem, find_problem, validated
+from data.library.problem import (
+    LibraryError,
+    Matrix,
+    Problem,
+    changed_files,
+    checksums,
+    find_problem,
+    validated,
+)
 from data.library.record import (
     LAST_DIGITS,
     PROOFS,
@@ -30,13 +38,13 @@ from dcreg.certificate.format import Certificate, CertificateError, read
 from dcreg.certificate.verification import Report, verify
 
 MAX_STORED = 100_000  # bytes of a proof file in the repository
-STATED = 1e-6  # relative error of a stated objective
+STATED = 1e-6  # relative error that a stated objective may have
 
 
 class PoseClaim(BaseModel):
     """A pose and the objective that its author states."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     pose: Matrix
     objective: float = Field(ge=0.0)
@@ -45,7 +53,7 @@ class PoseClaim(BaseModel):
 class BoundClaim(BaseModel):
     """A lower bound and its certificate, relative to the submission."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     lower_bound: float = Field(gt=0.0)
     proof: str
@@ -86,6 +94,8 @@ def submit(path: Path, records: Path = RECORDS, proofs: Path = PROOFS) -> Outcom
     if given.better_pose is None and given.better_bound is None:
         raise LibraryError(f"{path}: better_pose, better_bound: give at least one of them")
     problem = find_problem(given.problem)
+    if faults := changed_files(checksums()):
+        raise LibraryError(faults[0])  # a claim about it would say nothing about the problem
     record, outcome = read_record(problem.id, records), Outcome()
     if given.better_pose is not None:
         record = _with_pose(problem, record, given, given.better_pose, outcome)
@@ -176,8 +186,9 @@ def checked_proof(problem: Problem, path: Path) -> tuple[Certificate, Report]:
     wanted = (problem.model, problem.n_inliers, problem.scale_range)
     if stated != wanted or len(certificate.candidates):
         raise LibraryError(
-            f"{problem.id}: proof: it is about model, n_inliers and scale_range {stated}"
-            f"{' with candidates' if len(certificate.candidates) else ''}, the problem has {wanted}"
+            f"{problem.id}: proof: its model, n_inliers and scale_range are {stated}"
+            f"{' with candidates' if len(certificate.candidates) else ''}, the problem has {wanted}; "
+            "certify the problem"
         )
     report = verify(certificate, *problem.clouds)
     if not report.accepted:
@@ -186,7 +197,7 @@ def checked_proof(problem: Problem, path: Path) -> tuple[Certificate, Report]:
 
 
 def proof_path(problem_id: str, sha256: str, folder: Path = PROOFS) -> Path:
-    """Return where a stored proof is; the digest keeps proofs of one problem apart."""
+    """Return the path of a stored proof; the digest distinguishes proofs of one problem."""
     return folder / f"{problem_id}.{sha256[:8]}.npz"
 
 

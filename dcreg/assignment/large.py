@@ -126,7 +126,7 @@ def descend(
 
 
 def quick_pairs(problem: Problem, T: np.ndarray, budget: Budget) -> tuple[float, np.ndarray] | None:
-    """Return the sum of squared residuals of rough pairs at a pose, and these; None without time."""
+    """Return the sum of squared residuals of rough pairs, and the pairs; None if time is over."""
     if budget.is_over or not has_time_to_match(problem, budget):
         return None
     return _matched(problem, T, budget.isolated_sub_budget(_QUICK_SHARE).stop)

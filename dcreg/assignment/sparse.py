@@ -152,9 +152,9 @@ def _near(
 
 
 def _by_place(points: np.ndarray) -> np.ndarray:
-    """Return the rows in an order in which neighbours in space follow each other, if they are many.
+    """Return an order of the rows in which, if they are many, nearby points follow each other.
 
-    Queries of near points read the same part of the tree. This takes a third of the time.
+    Consecutive queries then read the same part of the tree and take a third of the time.
     """
     if len(points) <= _MANY_ROWS:
         return np.arange(len(points))

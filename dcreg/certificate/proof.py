@@ -13,7 +13,7 @@ from dcreg.certificate.objective import Objective
 
 TANGENT_STEPS = 10  # attempts to find a better tangent point
 REFUTE_EVERY = 3  # bisections between two attempts to refute a bound that is not proven
-FEW_LEAVES = 48  # of a part that are compared with each other, which is faster than to cut it
+FEW_LEAVES = 48  # a part with at most so many is not cut: comparing all leaves is faster
 # Coordinates are equal if they differ by less than this fraction of the start box, or of the clouds if
 # those are smaller.
 SAME = 1e-12
@@ -35,10 +35,11 @@ def check_partition(
 ) -> None:
     """Check that the leaves are a partition of the start box: no gap, no overlap, nothing outside.
 
-    The box is cut between leaves, and its parts again, until each part has few leaves. These are a
-    partition of it if they lie in it, are disjoint, and have as many cells of the grid together. If not,
-    the part is cut further to name a leaf. This works for every partition made by bisection. If no plane
-    divides a part, its leaves overlap; if a single leaf does not fill its part, there is a gap.
+    The box is cut between leaves, and its parts again, until each part has few leaves. The leaves are a
+    partition of their part if they are in it, are disjoint, and together have as many cells of the grid.
+    If not, the part is cut further, to name a faulty leaf. This works for every partition made by
+    bisection. If no plane divides a part, its leaves overlap; if a single leaf does not fill its part,
+    there is a gap.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ class _Grid(NamedTuple):
 def _are_partition(
     grid: _Grid, first: np.ndarray, last: np.ndarray, leaves: np.ndarray, wide: np.ndarray
 ) -> bool:
-    """Tell whether leaves lie in a part, are disjoint, and have as many cells as the part."""
+    """Tell whether leaves are in a part, are disjoint, and together have as many cells."""
     low, high = grid.low[leaves], grid.high[leaves]
     if (low < first).any() or (high > last).any():
         return False

@@ -29,8 +29,9 @@ def check_mode(
     """
     check_bound(mode, bound)
     if certificate and not mode.certifies:
-        remedy = "use mode 'paper'" if _has_paper(problem.model) else f"{problem.model} has none"
-        raise InputError(f"certificate: mode {mode.name!r} keeps no leaf boxes; {remedy}")
+        remedy = f"no mode of {problem.model} does, so omit certificate"
+        remedy = "use mode 'paper'" if _has_paper(problem.model) else remedy
+        raise InputError(f"certificate: mode {mode.name!r} makes none; {remedy}")
     for name, given in (("init", has_init), ("max_rms", has_max_rms)):
         if given and mode.in_norm_space:
             # a sample says nothing about max_rms on all points
@@ -44,7 +45,8 @@ def check_mode(
             )
         if certificate:
             raise InputError(
-                "certificate: `dcreg verify` knows no ranges of poses; omit certificate or pose_range"
+                "certificate: `dcreg verify` does not support ranges of poses; omit certificate or "
+                "pose_range"
             )
     if problem.weights is not None:
         _check_weights(mode, problem, {"certificate": certificate, "max_rms": has_max_rms})
@@ -60,16 +62,17 @@ def _check_weights(mode: Mode, problem: Problem, others: dict[str, bool]) -> Non
     """Refuse weights with a mode, a range, clouds or other settings that would ignore them."""
     others = {"pose_range": problem.pose_range is not None, **others}
     for name in filter(others.get, others):
-        raise InputError(f"{name}: takes no weights; omit {name} or weights")
+        raise InputError(f"{name}: cannot be combined with weights; omit {name} or weights")
     n, m = problem.weights.factors.shape if problem.weights else (0, 0)
     if n * m > AT_ONCE_PAIRS:
         raise InputError(
-            f"weights: {n} x {m} pairs exceed {AT_ONCE_PAIRS:,}; thin both clouds first, or omit weights"
+            f"weights: {n} x {m} pairs exceed {AT_ONCE_PAIRS:,}; downsample both clouds first, or omit "
+            "weights"
         )
     if not mode.takes_weights:
         raise InputError(
-            f"weights: {problem.model} in mode {mode.name!r} takes none; use similarity2d, or rigid3d in "
-            "mode 'full' without bound"
+            f"weights: not supported by {problem.model} in mode {mode.name!r}; use similarity2d, or "
+            "rigid3d in mode 'full' without bound"
         )
 
 

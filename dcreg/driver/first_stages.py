@@ -1,7 +1,7 @@
 """An estimate of the time of the stages that precede and follow a search, from the sizes of the clouds.
 
-The constants are processor seconds measured once; `slowness` converts them to those of this machine. The
-search itself ends by its proof or by a limit, which no size foretells.
+The constants are CPU seconds measured once; `slowness` converts them to those of this machine. The search
+itself has no estimate: it ends with a proof or at a limit.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from dcreg.families.mode import Mode
 from dcreg.problem import Problem
 
 INITIAL_POSES = "initial poses"
-# In 3D: per point, at most so much; and per pair of points.
+# In 3D: per point, up to a maximum; and per pair of points.
 _POINT_S, _MOST_S, _PAIR_S = 4e-3, 2.1, 2e-6
-# In 2D: of `_FLAT_PAIRS` pairs of points, and the power with which it grows.
+# In 2D: for `_FLAT_PAIRS` pairs of points, and the power of their number.
 _FLAT_S, _FLAT_PAIRS, _FLAT_POWER = 0.08, 1e4, 1.2
-# On all points: of the cube of the larger size, for a dense matching; per point of the larger cloud;
-# and of huge ones, for which there is one matching.
+# On all points: per cube of the larger size, for a dense matching; per point of the larger cloud; and per
+# point of huge clouds, from `_ONE_FROM` on, which are matched once.
 _DENSE_S, _SEVERAL_S, _ONE_S, _ONE_FROM = 6e-10, 1e-4, 4.5e-5, 40_000
 _PROBE_POINTS, _PROBE_S = 200_000, 2.1e-3
 
@@ -40,7 +40,7 @@ def first_stages(problem: Problem, searched: Problem, mode: Mode) -> dict[str, f
     Returns
     -------
     dict of str to float
-        Without stages that take the time that a limit leaves, as those of norms do.
+        Seconds by stage. Stages in norm space are left out: they use the rest of the time limit.
     """
     found, factor = {}, slowness()
     n, m = len(searched.source), len(searched.target)

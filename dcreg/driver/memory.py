@@ -33,10 +33,10 @@ MANY_PAIRS, LONG_S = 1_000_000, 600.0
 def estimated_memory(
     problem: Problem, searched: Problem, mode: Mode, bound: str | None, n_numbers: int = 1
 ) -> MemoryEstimate:
-    """Return the memory that a problem needs, of which a sample or all points are searched.
+    """Return the memory that a problem needs if `searched`, a sample or all points, is searched.
 
-    A sweep, and the choice of the number of pairs, keep a space of the searched points for each of
-    `n_numbers`, of which at most `MAX_SPACES` count.
+    A sweep, and the choice of the number of pairs, keep a copy of the searched points for each of
+    `n_numbers`; at most `MAX_SPACES` of them count.
     """
     n, m = len(searched.source), len(searched.target)
     pairs, is_free = n * m, searched.candidates is None
@@ -94,7 +94,7 @@ def check_memory(estimate: MemoryEstimate, problem: Problem) -> None:
         raise InputError(
             f"source, target: {n:,} and {m:,} points need about {estimate.peak_mb:,.0f} MB of memory, "
             f"but {free:,.0f} MB are available; search a sample (downsample=200, or --downsample 200), "
-            "or give thinner clouds where samples are refused"
+            "or give fewer points if the command refuses samples"
         )
 
 
@@ -124,12 +124,9 @@ def is_large_work(problem: Problem, time_s: float | None) -> bool:
 def advance_notice(
     estimate: MemoryEstimate, time_s: float | None, stages: Mapping[str, float]
 ) -> str:
-    """Return what a large solve may need, as text; `stages` are the seconds of those without a proof."""
+    """Return what a large solve may need, as text; `stages` are the seconds of other stages."""
     limit = math.inf if time_s is None else time_s
     time = f"at most about {limit:,.0f} s" if math.isfinite(limit) else "no limit"
     parts = [f"{name} about {max(seconds, 0.1):.2g} s" for name, seconds in stages.items()]
-    first = f", of which {' and '.join(parts)}" if parts else ""
-    return (
-        f"estimated memory: {estimate}; time: {time}{first}. The proof has no estimate yet: it takes the "
-        "rest, unless it ends early"
-    )
+    first = f" ({', '.join(parts)})" if parts else ""
+    return f"estimated memory: {estimate}; time: {time}{first}. The time until the proof is not known yet"

@@ -6,6 +6,7 @@
 ``traces.parquet``                     bound histories, at most `write.MOST_EVENTS` events a run
 ``experiments/NAME/provenance.json``   config, options, cards, machine, versions of a run
 ``experiments/NAME/overlays.json.gz``  points and poses of the runs that a report shows
+``experiments/NAME/clouds.parquet``    thinned clouds of its instances, as far as they fit
 ``experiments/NAME/needs.json``        blocks of collected evidence, from which a campaign continues
 ``bounds/NAME.parquet``                tables of the study of bounds
 ``ro-crate-metadata.json``             the same facts for machines (RO-Crate)

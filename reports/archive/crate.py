@@ -28,6 +28,7 @@ MEANINGS = {
     "provenance.json": "Config, methods, options, machine and versions of an experiment",
     "needs.json": "Blocks of paired instances that each method needed",
     "overlays.json.gz": "Points and poses of the best, median and worst runs",
+    "clouds.parquet": "Clouds of the instances of an experiment, rounded and thinned",
     "config.yaml": "Config that repeats an experiment",
     "REPEAT.md": "How to repeat and cite the experiments",
     "CITATION.cff": "How to cite the benchmark",

@@ -7,7 +7,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from reports import claims, paper_page, templating
-from reports.archive import read
+from reports.archive import clouds, read
 from reports.build import build as build_report
 from reports.history import page as history_page
 
@@ -27,12 +27,12 @@ def build(archive: str, out: Path, sha256: str = "") -> Path:
     """
     folder = read.folder_of(archive, out / "cache", sha256)
     places = read.restore(folder, out)
+    history_page.build(out / "history")  # the reports link to it
     with ProcessPoolExecutor(mp_context=get_context("forkserver")) as pool:
         pages = [place.parent / "report" / "index.html" for place in places]
         reports = [pool.submit(build_report, *each) for each in zip(places, pages, strict=True)]
         figures = pool.submit(paper_page.build, out / "figures", [out])
         claims.check([out], out / "claims")
-        history_page.build(out / "history")
         for report in reports:
             report.result()
         figures.result()
@@ -45,7 +45,11 @@ def _index(folder: Path, out: Path) -> Path:
     page.write_text(
         templating.environment()
         .get_template("archive.html")
-        .render(facts=facts, css=(HERE / "assets" / "report.css").read_text(encoding="utf-8")),
+        .render(
+            facts=facts,
+            clouds=clouds.sentences(facts),
+            css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
+        ),
         encoding="utf-8",
     )
     return page

@@ -26,6 +26,7 @@ from workflows.archives import (
 )  # fmt: skip
 from workflows.integrity import digest
 from workflows.stages.aggregate import accounting
+from workflows.stages.clouds import CLOUDS
 
 MOST_DOWNLOADED, MOST_UNPACKED = 100_000_000, 200_000_000  # bytes of a zip file, and of its content
 EXPERIMENT = r"[A-Za-z0-9][A-Za-z0-9._+-]*"
@@ -100,6 +101,8 @@ def _restore_one(stored: Path, runs: pd.DataFrame, events: pd.DataFrame, tables:
     shutil.copyfile(stored / "provenance.json", tables / "provenance.json")
     overlays = gzip.decompress((stored / "overlays.json.gz").read_bytes())
     (tables / "overlays.json").write_bytes(overlays)
+    if (stored / CLOUDS).is_file():  # earlier archives have none
+        shutil.copyfile(stored / CLOUDS, tables / CLOUDS)
 
 
 def _download(address: str, cache: Path, sha256: str) -> Path:

@@ -1,7 +1,8 @@
-"""The part of an archive that lets others run it again: configs, and the code of one's own methods."""
+"""The files of an archive that repeat its experiments: configs, and the code of your own methods."""
 
 from __future__ import annotations
 
+import shlex
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -20,6 +21,7 @@ from workflows.config import search_next_to
 AGAIN = "-again"  # ends the name of a repeated experiment: results are stored by name
 CITATION = "CITATION.cff"
 README = "REPEAT.md"
+CODE = (".py", ".yaml", ".yml", ".toml", ".md")  # what is copied of a dataset: no clouds
 NOT_INCLUDED = "its code is not included"
 _REMEDY = {
     "baselines": f"Set {methods.SEARCH_PATH} to the folder that holds it",
@@ -30,7 +32,7 @@ _REMEDY = {
 def write_sources(tables: Tables, out: Path) -> list[str]:
     """Write the config of an experiment to `out`, and all code that this checkout does not have.
 
-    Methods and datasets lie next to the config, where `workflows.config.search_next_to` finds them.
+    Methods and datasets are next to the config, where `workflows.config.search_next_to` finds them.
 
     Returns
     -------
@@ -52,6 +54,39 @@ def write_sources(tables: Tables, out: Path) -> list[str]:
     ]
 
 
+def public(provenance: dict[str, Any]) -> dict[str, Any]:
+    """Return the provenance of an experiment without places outside of the checkout.
+
+    Paths of one's own contain names of users and projects. Those of files in the archive are replaced by
+    their places there.
+    """
+    known = dict(provenance)
+    if "RESULTS=" in known.get("replay", ""):
+        del known["replay"]
+    if "git" in known:
+        known["git"] = {key: value for key, value in known["git"].items() if key != "untracked"}
+    if _is_elsewhere(known.get("config_file", "")):
+        known["config_file"] = ""
+    if "commands" in known:
+        known["commands"] = [_public_command(each) for each in known["commands"]]
+    known["methods"] = {
+        name: {**card, "origin": f"baselines/{card.get('baseline', name)}"}
+        if _is_elsewhere(card.get("origin", ""))
+        else card
+        for name, card in provenance.get("methods", {}).items()
+    }
+    return known
+
+
+def _is_elsewhere(path: str) -> bool:
+    return Path(path).is_absolute() or Path(path).parts[:1] == ("..",)
+
+
+def _public_command(command: str) -> str:
+    words = ("config.yaml" if _is_elsewhere(word) else word for word in shlex.split(command))
+    return shlex.join(words)
+
+
 def write_readme(experiments: dict[str, list[str]], version: str, commit: str, out: Path) -> None:
     """Say how to repeat the experiments of an archive, and how to cite it."""
     lines = [
@@ -69,7 +104,7 @@ def write_readme(experiments: dict[str, list[str]], version: str, commit: str, o
 
 
 def _copies(names: Iterable[str], registry: Any, kind: str, out: Path) -> Iterable[str]:
-    """Copy what lies outside of the checkout, or is one's own; yield a line for each."""
+    """Copy the code that is outside the checkout or has the provenance own; yield a line for each."""
     added = {plugin.name: plugin for plugin in registry.plugins(registry.GROUP)}
     for name in names:
         try:
@@ -88,9 +123,10 @@ def _copies(names: Iterable[str], registry: Any, kind: str, out: Path) -> Iterab
             continue
         is_own = registry is methods and methods.read_card(name).provenance == "own"
         if folder.parent != CHECKOUT / kind or is_own:
-            _copy(folder, out / kind / name)
+            copy = _copy if registry is methods else _copy_code
+            copy(folder, out / kind / name)
             yield f"{name}: in `{kind}/{name}`" + (
-                "" if registry is methods else " without the clouds that its card names"
+                "" if registry is methods else " without its clouds"
             )
 
 
@@ -107,8 +143,28 @@ def missing_code(archive: Path) -> list[str]:
 
 def _copy(place: Path, to: Path) -> None:
     if place.is_dir():
-        ignored = shutil.ignore_patterns("__pycache__", "*.so", "source.*", "target.*")
-        shutil.copytree(place, to, ignore=ignored, dirs_exist_ok=True)
+        shutil.copytree(place, to, ignore=_left_out, dirs_exist_ok=True)
     else:
         to.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(place, to)
+
+
+def _left_out(folder: str, names: list[str]) -> list[str]:
+    """Return the names that are not copied: links, hidden and compiled files."""
+    return [
+        name
+        for name in names
+        if name.startswith(".")
+        or name == "__pycache__"
+        or name.endswith(".so")
+        or Path(folder, name).is_symlink()
+    ]
+
+
+def _copy_code(place: Path, to: Path) -> None:
+    """Copy the code and the cards of a dataset, not the clouds that may lie next to them."""
+    for path in sorted(place.rglob("*")):
+        name = path.relative_to(place)
+        if path.suffix in CODE and not _left_out(str(path.parent), [path.name]):
+            (to / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, to / name)

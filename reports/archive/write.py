@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gzip
 import json
+import re
 import shutil
 import zipfile
 from collections.abc import Sequence
@@ -13,8 +15,9 @@ from typing import Any
 import pandas as pd
 
 from dcreg.files import whole_file
+from reports.archive import clouds
 from reports.archive.crate import describe
-from reports.archive.sources import write_readme, write_sources
+from reports.archive.sources import public, write_readme, write_sources
 from reports.ledger.evidence import STUDY
 from reports.tables import ReportError, Tables, thin_trace
 from workflows import CHECKOUT, provenance, records
@@ -24,6 +27,7 @@ from workflows.integrity import digest
 
 MOST_EVENTS = 64  # of a run's bound history
 MOST_BYTES = 25_000_000  # of an archive
+SHARE_BEFORE_CHECKSUMS = 0.9  # of these bytes: clouds fill what the tables leave
 LOCK = CHECKOUT / "requirements.lock"
 # Columns of a history that the runs have as well.
 _SHARED = ["method", "instance_id"]
@@ -42,17 +46,20 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
     Raises
     ------
     ReportError
-        There are no results, or the archive would exceed `MOST_BYTES`.
+        There are no results, `version` is not a name, or the archive would exceed `MOST_BYTES`.
     """
+    if not re.fullmatch(r"\w[\w.+-]*", version):  # it names a folder, which is replaced
+        raise ReportError(f"version: {version!r}; use letters, digits, and . + - _ after the first")
     folders = [place for root in results for place in sorted(root.glob("*"))]
     places = [found for place in folders if (found := _with_tables(place)) is not None]
     tables = [Tables.load(place / "tables") for place in places]
     if not tables:
         raise ReportError(f"{', '.join(map(str, results))}: no results; run an experiment first")
+    shown = [dataclasses.replace(each, provenance=public(each.provenance)) for each in tables]
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
-    _write_tables(tables, part)
+    _write_tables(shown, part)
     for place, each in zip(places, tables, strict=True):
         if (needs := place / NEEDS).is_file():
             shutil.copyfile(needs, part / "experiments" / each.experiment / NEEDS)
@@ -63,19 +70,25 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
         each.experiment: write_sources(each, part / "experiments" / each.experiment)
         for each in tables
     }
-    facts = _facts(tables, version)
+    facts = _facts(shown, version)
+    room = int(SHARE_BEFORE_CHECKSUMS * MOST_BYTES) - _size(part)
+    for name, counts in clouds.write(tables, part, room).items():
+        facts["experiments"][name]["clouds"] = counts
     write_readme(added, version, facts["git"]["commit"], part)
     (part / "archive.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
     describe(part, facts)
     _write_checksums(part)
-    size = sum(path.stat().st_size for path in part.rglob("*") if path.is_file())
-    if size > MOST_BYTES:
+    if (size := _size(part)) > MOST_BYTES:
         raise ReportError(
             f"{part}: {size / 1e6:.1f} MB, more than {MOST_BYTES / 1e6:g}; archive fewer experiments"
         )
     shutil.rmtree(out, ignore_errors=True)
     part.rename(out)
     return out
+
+
+def _size(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def _with_tables(place: Path) -> Path | None:
@@ -142,7 +155,7 @@ def _facts(tables: Sequence[Tables], version: str) -> dict[str, Any]:
         "version": version,
         "created": provenance.now(),
         "schema_version": records.SCHEMA_VERSION,
-        "git": provenance.git_state(),
+        "git": {key: value for key, value in provenance.git_state().items() if key != "untracked"},
         "lock_sha256": digest(LOCK),
         "machines": sorted({str(each.provenance.get("machine", {}).get("cpu")) for each in tables}),
         "experiments": {

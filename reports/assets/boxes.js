@@ -34,7 +34,7 @@ function draw() {
   const size = canvas.clientWidth * devicePixelRatio;
   canvas.width = canvas.height = size;
   const pen = canvas.getContext("2d");
-  if (!chosen) { pen.fillText("This stage has no slice in a plane.", 20, 20); return; }
+  if (!chosen) { pen.fillText("This stage has no slice that can be drawn.", 20, 20); return; }
   const [left, right, low, high] = chosen.boxes;
   const spans = [[Math.min(...left.slice(0, 64)), Math.max(...right.slice(0, 64))], [Math.min(...low.slice(0, 64)), Math.max(...high.slice(0, 64))]];
   const zoom = 10 ** Number(part("zoom").value);

@@ -104,7 +104,7 @@ function picture(found) {
   const canvas = make("canvas", "", { tabIndex: 0 });
   canvas.setAttribute("role", "img");
   canvas.setAttribute("aria-label", "Source at the chosen pose, and target");
-  const poses = { "best known pose": found.pose, "true pose": found.truth };
+  const poses = { "best known pose": found.pose, "reference pose": found.truth };
   const choice = make("select", "");
   for (const name of Object.keys(poses)) if (poses[name]) choice.append(make("option", name));
   const bar = make("div", "", { className: "controls" });
@@ -175,8 +175,8 @@ function history(found) {
 <text x="4" y="${y(top / 1.05) + 4}">${(top / 1.05).toPrecision(4)}</text><text x="4" y="${y(low / 0.95) + 4}">${(low / 0.95).toPrecision(4)}</text>
 <path class="upper" d="${line("upper")}"/><path class="lower" d="${line("lower")}"/>${labels}</svg>`;
   const last = steps.at(-1);
-  const text = `Best known objective (upper line) and proven bound (lower line) after each entry, by version. Last entry: ${last.date}.`;
-  return [make("h2", "Bounds over versions"), holder, make("p", text, { className: "quiet" })];
+  const text = `Best known objective (upper line) and proven lower bound (lower line) after each entry of the record. Labels: who added the entry. Last entry: ${last.date}.`;
+  return [make("h2", "Bounds after each entry"), holder, make("p", text, { className: "quiet" })];
 }
 
 const escaped = (text) => text.replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);

@@ -15,7 +15,7 @@ function once(key, make) {
   return remembered.get(key);
 }
 
-// A page that is opened from a disk can load scripts, and nothing else. Each calls `store`.
+// A page that is opened from a disk can load only scripts. Each of them calls `store`.
 const delivered = new Map();
 function store(name, text) { delivered.set(name, text); }
 
@@ -56,7 +56,7 @@ function color(variable, alpha = 1) {
 const variableOf = new Map(
   $$("[data-toggle-method]").map((chip) => [
     chip.dataset.toggleMethod,
-    $(".dot", chip).style.getPropertyValue("--c").slice(4, -1),
+    chip.dataset.variable,
   ]),
 );
 const nameOf = (method) => $(`[data-toggle-method="${CSS.escape(method)}"]`).textContent;
@@ -140,7 +140,7 @@ async function drawNow(element) {
   element.dataset.drawn = String(Number(element.dataset.drawn ?? 0) + 1);
 }
 
-// A point of a run, or a trace of one, opens the view of this run.
+// A click on a point or trace of a run opens the view of this run.
 function openRun({ points: [point] }) {
   const run = point.customdata ?? point.data.meta.run;
   if (run) location.hash = `run=${run}`;
@@ -223,7 +223,7 @@ function chosenInstance(data) {
   return instance;
 }
 
-// Opens on the stage that bounds most boxes, as stages of initial poses bound none.
+// The first stage shown is the one with most boxes; stages of initial poses bound none.
 function fillStages({ runs }) {
   const boxes = new Map();
   for (const run of runs) {
@@ -275,7 +275,7 @@ function runTraces(run, stage, work) {
       line(stage.upper, top, "upper bound", `${run.symbol}-open`, 1.2),
       line(gap, bottom, "gap"),
       ...(run.gap_tol ? [flat(run.gap_tol, bottom, "tolerance", run.method)] : []),
-      ...(run.truth !== null ? [flat(run.truth, top, "objective at the true pose", undefined)] : []),
+      ...(run.truth !== null ? [flat(run.truth, top, "objective at the reference pose", undefined)] : []),
     ];
   });
 }
@@ -328,7 +328,7 @@ const move = (points, T) => points.map((p) =>
 async function drawThumbnail(canvas) {
   const found = await recordOf(canvas.dataset.run).catch(tellMissing);
   if (!found?.clouds) {
-    canvas.replaceWith("not drawn: the tables hold no clouds");
+    canvas.replaceWith("not drawn: the tables contain no clouds");
     return;
   }
   const { clouds, record } = found;
@@ -359,7 +359,6 @@ async function drawThumbnail(canvas) {
   for (const [x, y] of source.map(place)) { pen.beginPath(); pen.arc(x, y, r, 0, 7); pen.stroke(); }
   canvas.dataset.drawn = "1";
 }
-$$("canvas[data-run]").forEach((canvas) => seen.observe(canvas));
 
 // ---- switches ----------------------------------------------------------------------------------
 
@@ -421,11 +420,6 @@ function filter(bar) {
   }
   $("[data-count]", bar).textContent = `${count} of ${items.length}`;
 }
-$$("[data-filters]").forEach((bar) => {
-  bar.addEventListener("input", () => filter(bar));
-  filter(bar);
-});
-
 const sortValue = (cell) => {
   const raw = cell.dataset.sort ?? cell.textContent.trim();
   const asNumber = Number(raw);
@@ -442,7 +436,7 @@ function sort(table, column, descending) {
   table.tBodies[0].append(...rows.map(([, row]) => row));
 }
 
-for (const table of $$("table.sortable")) {
+function makeSortable(table) {
   const heads = [...table.tHead.rows[0].cells];
   heads.forEach((head, column) => {
     if ("fixed" in head.dataset) return;
@@ -466,7 +460,30 @@ function titleCells(table) {
     [...row.cells].forEach((cell, i) => { if (titles[i] && cell.tagName === "TD" && cell.textContent.trim()) cell.dataset.title = titles[i]; });
   }
 }
-$$("table.stack").forEach(titleCells);
+
+// Makes the tables of the page, or of a part of it, work.
+function enliven(part) {
+  $$("[data-filters]", part).forEach((bar) => {
+    bar.addEventListener("input", () => filter(bar));
+    filter(bar);
+  });
+  $$("table.sortable", part).forEach(makeSortable);
+  $$("table.stack", part).forEach(titleCells);
+  for (const item of $$("[data-method]", part)) item.hidden = hidden.has(item.dataset.method);
+}
+enliven($("main"));
+
+// A closed part gets its content when it is opened for the first time.
+const partsOf = (section) => once(`parts ${section}`, async () => unpacked(await stored(`parts-${section}`)).json());
+async function fillPart(details) {
+  const { section, part } = details.dataset;
+  details.insertAdjacentHTML("beforeend", (await partsOf(section))[Number(part)]);
+  enliven(details);
+  details.dataset.filled = "1";
+}
+$$("details[data-part]").forEach((details) => {
+  details.addEventListener("toggle", () => fillPart(details).catch(tellMissing), { once: true });
+});
 
 // ---- downloads ---------------------------------------------------------------------------------
 

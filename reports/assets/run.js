@@ -24,7 +24,7 @@ async function followAddress() {
   }
   let found = null;
   try { found = await recordOf(run); } catch (error) { tellMissing(error); return; }
-  if (run !== runInAddress()) return; // another one was asked for meanwhile
+  if (run !== runInAddress()) return; // the address has changed since
   $("#run-body").hidden = !found;
   $("#run-missing").hidden = Boolean(found);
   if (!dialog.open) dialog.showModal();
@@ -51,7 +51,7 @@ function tellRun({ data, at, run, record }) {
   const facts = [
     ["RMSE over the true pairs", values.rmse[at]], ["error above the floor", record.rmse_excess], ["floor: fit to the true pairs", record.rmse_floor],
     ["rotation error (°)", values.rotation[at]], ["translation error", record.translation_error], ["scale error", record.scale_error],
-    ["objective E at this pose", record.objective], ["E at the reference pose", record.objective_true], ["best known E", record.objective_best],
+    ["objective E at this pose", record.objective], ["E at the reference pose", record.objective_true], ["best known objective E", record.objective_best],
     ["lower bound", record.lower_bound], ["upper bound", record.upper_bound], ["gap", record.gap], ["tolerance", record.gap_tol], ["scope of the bounds", record.scope],
     ["time (s)", values.time[at]], ["nodes", values.nodes[at]], ["assignments", record.n_assignments],
     ["n_inliers given", record.n_inliers], ["true pairs", record.n_inliers_true], ["points of source and target", `${record.n_source}, ${record.n_target}`], ["noise bound given", record.noise_bound],
@@ -98,7 +98,7 @@ function drawRunClouds(library) {
   const { clouds, record } = current;
   $("#run-overlay").hidden = !clouds;
   $("#run-parts").hidden = !clouds;
-  $("#run-clouds").textContent = clouds ? cloudsText(clouds, record) : "The tables of this experiment hold no clouds of this instance.";
+  $("#run-clouds").textContent = clouds ? cloudsText(clouds, record) : "The tables of this experiment contain no clouds of this instance.";
   $$('#run-parts [data-part="found"], #run-parts [data-part="pairs"]').forEach((box) => { box.disabled = !record.pose; });
   if (!clouds) return null;
   const flat = clouds.source[0].length === 2;
@@ -198,7 +198,7 @@ function drawHistory(library) {
   if (record.is_of_pose && record.objective_true !== undefined) {
     traces.push(flat(record.objective_true, "y", "E at the reference pose"), flat(Math.sqrt(record.objective_true / record.n_inliers), "y3", "error of the reference pose"));
   }
-  $("#run-history-text").textContent = `Error of the incumbent: √(upper bound / n_inliers), the RMS residual per pair${record.is_of_pose ? "" : " of the quantity that this stage bounds"}. Dotted: the same at the reference pose, and the tolerance. Bounds refer to: ${record.scope || "the objective of the stage"}. The history is thinned for display.`;
+  $("#run-history-text").textContent = `Error of the incumbent: √(upper bound / n_inliers), the RMS residual per pair${record.is_of_pose ? "" : " of the quantity that this stage bounds"}. Dotted lines: values at the reference pose, and the tolerance. The bounds refer to: ${record.scope || "the objective of the stage"}. The history is thinned for display.`;
   return drawIn(library, "run-history", traces, (narrow) => ({
     height: narrow ? 620 : 560, margin: { l: 62, r: 8, t: 30, b: 44 }, showlegend: true, legend: { orientation: "h", y: 1.02, yanchor: "bottom" },
     xaxis: { title: { text: AXES[axis] }, type: isLog ? "log" : "linear", anchor: "y3" },
@@ -208,7 +208,7 @@ function drawHistory(library) {
   }));
 }
 
-// ---- when --------------------------------------------------------------------------------------
+// ---- events ------------------------------------------------------------------------------------
 
 addEventListener("hashchange", followAddress);
 dialog.addEventListener("close", () => { if (runInAddress()) withoutRun(); delete dialog.dataset.drawn; });

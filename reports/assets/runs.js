@@ -1,7 +1,7 @@
 "use strict";
 // The table of runs: filters and sorting over columns; at most 100 rows are in the document.
 
-const ROWS = 100, CARDS = 12;
+const ROWS = 100;
 const runsTable = () => once("runs", async () => {
   const { words, values, names, replay } = await unpacked(await stored("runs")).json();
   const text = (name) => values[name].map((code) => words[name][code]);
@@ -14,7 +14,7 @@ const runsTable = () => once("runs", async () => {
   };
 });
 
-// title, and how a value is shown; words are those of the columns
+// title and format of each column; columns without a format contain words
 const COLUMNS = {
   run: ["run"], method: ["method"], model: ["model"], case: ["data"], test: ["test"], level: ["level", short], trial: ["trial", short],
   answer: ["verdict"], status: ["status"], rmse: ["RMSE", short], rotation: ["rotation error (°)", short],
@@ -119,61 +119,20 @@ function sortRuns(name) {
   listRuns();
 }
 
-// ---- wrong runs --------------------------------------------------------------------------------
+// ---- events ------------------------------------------------------------------------------------
 
-const wrongShown = { count: CARDS };
-
-async function listWrong() {
-  const data = await runsTable();
-  const method = data.words.method.indexOf($("#wrong-method").value);
-  const wrong = new Set(["wrong", "no pose"].map((answer) => data.words.answer.indexOf(answer)));
-  const rows = [];
-  for (let at = 0; at < data.count; at += 1) if (data.values.method[at] === method && wrong.has(data.values.answer[at])) rows.push(at);
-  rows.sort((a, b) => (data.values.rmse[b] ?? Infinity) - (data.values.rmse[a] ?? Infinity) || a - b);
-  const part = rows.slice(0, wrongShown.count);
-  $("#wrong-cards").replaceChildren(...part.map((at) => cardOf(data, at)));
-  $("#wrong-count").textContent = `${part.length} of ${rows.length}, the largest error first`;
-  $("#wrong-more").hidden = part.length === rows.length;
+// Calls `make` once an element is near the screen.
+function whenNear(element, make) {
+  const observer = new IntersectionObserver((entries) => {
+    if (!entries.some((entry) => entry.isIntersecting)) return;
+    observer.disconnect();
+    make().catch(tellMissing);
+  }, { rootMargin: "600px" });
+  observer.observe(element);
 }
-
-function cardOf(data, at) {
-  const run = data.values.run[at], card = document.createElement("article");
-  card.className = "card";
-  const link = Object.assign(document.createElement("a"), { className: "view", href: `#run=${run}` });
-  for (const when of ["before", "after"]) {
-    const canvas = document.createElement("canvas"), holder = document.createElement("span");
-    Object.assign(canvas.dataset, { run, when });
-    holder.append(canvas, when);
-    link.append(holder);
-    seen.observe(canvas);
-  }
-  const text = document.createElement("p");
-  text.append(`${titleOf(data, at)}; ${data.word("answer", at)}, RMSE ${short(data.values.rmse[at])}, ${data.word("status", at)}`);
-  card.append(link, text);
-  return card;
-}
-
-// Own pairs of clouds have one level and one trial, which say nothing.
-function titleOf(data, at) {
-  const { values } = data, test = data.word("test", at).replaceAll("_", " ");
-  const parts = [data.word("case", at)];
-  if (test !== "pair") parts.push(`${test} ${short(values.level[at])}`, `trial ${values.trial[at]}`);
-  return parts.join(", ");
-}
-
-// ---- when --------------------------------------------------------------------------------------
-
-const runsInView = new IntersectionObserver((entries) => {
-  if (!entries.some((entry) => entry.isIntersecting)) return;
-  runsInView.disconnect();
-  headRuns().catch(tellMissing);
-  if ($("#wrong-method")) listWrong().catch(tellMissing);
-}, { rootMargin: "600px" });
-runsInView.observe($("#runs"));
+whenNear($("#runs"), headRuns);
 
 $("#runs-filter").addEventListener("input", () => listRuns());
 $$("[data-page]").forEach((button) => button.addEventListener("click", () => listRuns(listing.page + Number(button.dataset.page))));
 $("#runs-order").addEventListener("change", ({ target }) => sortRuns(target.value));
-$("#wrong-method")?.addEventListener("change", () => { wrongShown.count = CARDS; listWrong(); });
-$("#wrong-more")?.addEventListener("click", () => { wrongShown.count += CARDS; listWrong(); });
 document.addEventListener("methods-changed", () => { if (listing.rows.length || $("#runs-table").tBodies[0].rows.length) listRuns(); });

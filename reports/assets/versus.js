@@ -55,7 +55,7 @@ function scatter({ both, labels, runs: [a, b] }, name, axis) {
   ];
 }
 
-const symbolOf = (method) => $(`[data-toggle-method="${CSS.escape(method)}"] .dot`).dataset.symbol;
+const symbolOf = (method) => $(`[data-toggle-method="${CSS.escape(method)}"]`).dataset.symbol;
 const percentOf = (p) => (p < 1e-4 ? "< 0.0001" : String(Number(p.toPrecision(2))));
 const cellOf = (tag, content, className = "") => Object.assign(document.createElement(tag), { textContent: content, className });
 
@@ -80,7 +80,7 @@ function answer({ both, labels, places: [a, b], runs }) {
   const bothRight = runs[0].right.filter((right, i) => right && runs[1].right[i]).length;
   let text = `${one} and ${other} attempted no instance in common.`;
   if (a === b) text = "Choose two different methods.";
-  else if (total && !(won + lost)) text = `${one} and ${other} are right on ${bothRight} of ${total} instances, and wrong on the same ones.`;
+  else if (total && !(won + lost)) text = `${one} and ${other} are right on ${bothRight} of ${total} instances, and wrong on all others.`;
   else if (total) {
     const [first, second, more, fewer] = won >= lost ? [one, other, won, lost] : [other, one, lost, won];
     const much = p < 0.05 ? "a significant difference" : "no significant difference";

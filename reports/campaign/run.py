@@ -27,6 +27,7 @@ from workflows.archives import archived, folders, runs_of, runs_of_others
 from workflows.blocks import EVIDENCE, NEEDS, Needs
 from workflows.compose import QUICK
 from workflows.config import Experiment, load, origin
+from workflows.live import View
 from workflows.outcomes import NOT_NEEDED
 from workflows.running import INTERRUPTED, run_snakemake
 from workflows.stages.plan import Plan, expand
@@ -196,7 +197,12 @@ def _run(
         "--config", f"experiment={campaign.name}", f"needs={campaign.needs_path.resolve()}",
     ]  # fmt: skip
     with _interrupted_at(end):
-        code = run_snakemake(campaign.directory, campaign.experiment.name, arguments)
+        code = run_snakemake(
+            campaign.directory,
+            campaign.experiment.name,
+            arguments,
+            view_of=lambda: View(campaign.plan(), campaign.folder.parent, cores, console),
+        )
     after = campaign.tables()
     if code or after is None:
         what = "the time is over" if code == INTERRUPTED else "some stages failed; see above"

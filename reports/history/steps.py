@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from workflows import recording
-from workflows.compare import Verdict, judge_experiment
+from workflows.compare import Verdict, judge_records
 from workflows.recording import Record
 
 Value = Callable[[pd.DataFrame], float]
@@ -136,7 +136,7 @@ def _lines(records: dict[str, Record]) -> Iterator[tuple[str, list[Line]]]:
     verdicts = {
         (new, found.method, found.metric): found
         for old, new in pairwise(versions)
-        for found in judge_experiment("", records[old].runs, records[new].runs)
+        for found in judge_records("", records[old], records[new])
         if found.verdict in STEPS
     }
     for method in dict.fromkeys(name for each in records.values() for name in each.runs["method"]):

@@ -1,4 +1,4 @@
-"""Which features of a problem predict the effort of its proof: a table, a fitted model and a sentence."""
+"""Features of a problem that predict the effort of its proof: a table, a fitted model and a sentence."""
 
 from __future__ import annotations
 
@@ -27,25 +27,28 @@ NAMES = {
     "asymmetry": "the asymmetry of the source",
 }
 LOGARITHMIC = ("n_points", "residual")
-SHORTEST_S = 0.01  # a shorter solve is not resolved
+SHORTEST_S = 0.01  # shorter times are not resolved
 
 
 @dataclass(frozen=True)
 class Model:
-    """Least squares of the logarithm of the processor time on standardised features, per model.
+    """Least-squares fit of the logarithm of the CPU time to standardised features and the model.
 
     Attributes
     ----------
     factors : dict
-        What one standard deviation more of each feature multiplies the time by.
+        Factor of the time for one standard deviation more of each feature.
     r_squared : float
         Share of the variance that all features explain.
     n_problems : int
+    n_open : int
+        Those whose search ended without a proof; their time is a lower limit.
     """
 
     factors: dict[str, float]
     r_squared: float
     n_problems: int
+    n_open: int
 
     def sentence(self) -> str:
         """Return the finding in one sentence."""
@@ -53,10 +56,11 @@ class Model:
         first, second = order[:2]
         factors = (f"{self.factors[name]:.2g}" for name in (first, second))
         return (
-            f"The best predictor of the time of a proof is {NAMES[first]}: one standard deviation more "
+            f"The best predictor of the time of a search is {NAMES[first]}: one standard deviation more "
             f"multiplies the time by {next(factors)}; next is {NAMES[second]} (factor {next(factors)}). "
-            f"Together, {len(self.factors)} features and the model explain {self.r_squared:.0%} of the "
-            f"variance of log time over {self.n_problems} problems."
+            f"Together, {len(self.factors)} features and the model explain {100 * self.r_squared:.0f} % "
+            f"of the variance of log time over {self.n_problems} problems; the searches of {self.n_open} "
+            "ended without a proof."
         )
 
 
@@ -103,4 +107,4 @@ def fit(rows: pd.DataFrame) -> Model:
     left = effort - design @ weights
     explained = 1.0 - float((left**2).sum() / ((effort - effort.mean()) ** 2).sum())
     factors = {name: float(10.0**w) for name, w in zip(names, weights[2:], strict=True)}
-    return Model(factors, explained, len(rows))
+    return Model(factors, explained, len(rows), int(rows["is_limit"].sum()))

@@ -39,7 +39,7 @@ def thumbnail(problem: Problem, record: Record) -> str:
 
 
 def panels(rows: pd.DataFrame) -> list[tuple[str, str]]:
-    """Return a panel per feature: its label, and processor time against the feature as SVG."""
+    """Return a panel per feature: its label, and CPU time against the feature as SVG."""
     return [(label, _panel(rows, name, label)) for name, label in LABELS.items()]
 
 
@@ -60,7 +60,7 @@ def _panel(rows: pd.DataFrame, name: str, label: str) -> str:
         )
 
     parts = [
-        f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="Processor time against {label}">'
+        f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="CPU time against {label}">'
     ]
     for power in range(int(y_range[0]), int(y_range[1]) + 1):
         _, v = at(x_range[0], power)

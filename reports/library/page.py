@@ -18,9 +18,9 @@ from reports.page import pack_json
 HERE = Path(__file__).parents[1]
 SCRIPTS = (packing.UNPACK, HERE / "assets" / "library.js")
 WORDS = {
-    "easy": "proven by default options within 60 s of processor time",
-    "hard": "proven with more effort",
-    "open": "not proven",
+    "easy": "proven by default options within 60 s of CPU time",
+    "hard": "proven with other options, in more time or by all matchings",
+    "open": "not proven so far; the view of the problem states the time tried",
 }
 BIBTEX = """@misc{{dcreg-library-{key},
   title = {{Problem {id} of the DC-Reg library of registration problems with proven optima}},
@@ -125,7 +125,7 @@ def _facts(row: Row) -> list[tuple[str, str]]:
         else f"{best.objective:.9g} ({best.by}, {best.how})",
         "proven lower bound": "" if bound is None
         else f"{bound.lower_bound:.9g} ({bound.by}, {bound.how})",
-        "gap": f"{record.gap:.2%}",
+        "gap": f"{100 * record.gap:.2f} %",
         "distinct optima": "" if record.optima is None
         else f"{record.optima.count} ({record.optima.how})",
         "proof": "" if proof is None else f"{proof.n_leaves:,} leaf boxes, {proof.size / 1000:.0f} kB, "
@@ -133,7 +133,9 @@ def _facts(row: Row) -> list[tuple[str, str]]:
     }  # fmt: skip
     for entry in record.solves:
         options = ", ".join(entry.options) or "default options"
-        facts[f"{entry.by}, {options}"] = f"{entry.status}, {entry.cpu_s:.2f} s of processor time"
+        facts[f"solve by {entry.by}, {options}"] = (
+            f"{entry.status}, {entry.cpu_s:.2f} s of CPU time"
+        )
     return [(name, text) for name, text in facts.items() if text]
 
 

@@ -21,11 +21,12 @@ TRUE, NEAREST = "true", "nearest"
 def of_instances(tables: Tables) -> dict[str, dict[str, Any]]:
     """Return ``source``, ``target``, ``pairs`` and their kind by instance.
 
-    They are those of the table of clouds. Results without it have the clouds of the overlays; their pairs
+    They are those of the table of clouds. Other instances have the clouds of the overlays; their pairs
     are mutual nearest neighbours at the reference pose, closer than the noise bound.
     """
     path = tables.directory / CLOUDS
-    return dict(_stored(pd.read_parquet(path)) if path.is_file() else _overlaid(tables))
+    stored = dict(_stored(pd.read_parquet(path))) if path.is_file() else {}
+    return stored | dict(_overlaid(tables, set(stored)))
 
 
 def _stored(table: pd.DataFrame) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -42,10 +43,11 @@ def _stored(table: pd.DataFrame) -> Iterator[tuple[str, dict[str, Any]]]:
         )
 
 
-def _overlaid(tables: Tables) -> Iterator[tuple[str, dict[str, Any]]]:
+def _overlaid(tables: Tables, stored: set[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the clouds of the other instances."""
     facts = ["instance_id", "T_reference", "noise_bound"]
     runs = tables.runs.set_index("run_id")[facts]
-    known = set()
+    known = set(stored)
     for item in tables.overlays:
         if item["run_id"] not in runs.index:
             continue

@@ -1,53 +1,39 @@
-"""Overlays before and after of the best, median and worst runs; each opens the view of its run."""
+"""Overlays before and after of the best, median and worst runs, drawn in the browser."""
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
-from reports.page import Page
-from reports.pairs import OWN_TEST
-from reports.tables import Tables, case_names
-from reports.theme import Style, number, words
+from reports.page import Page, pack_json
+from reports.tables import Tables
 
 ID = "gallery"
 TITLE = "Overlays"
 POSITION = 60
+CARDS = 12  # shown at first, as in cards.js
 
 
 def context(page: Page) -> dict[str, Any]:
-    found = cards(page.tables, page.styles)
+    found = ordered(page.tables)
+    page.data["gallery"] = pack_json(
+        {name: [item[name] for item in found] for name in ("run_id", "rank")}
+    )
+    groups = Counter((item["model"], item["test"]) for item in found)
     return {
-        "cases": found,
-        "groups": list(dict.fromkeys((case["model"], case["test"]) for case in found)),
-        "ranks": list(dict.fromkeys(case["rank"] for case in found)),
+        "count": len(found),
+        "groups": list(groups),
+        "places": min(CARDS, next(iter(groups.values()), 0)),  # kept free, so that nothing moves
+        "ranks": list(dict.fromkeys(item["rank"] for item in found)),
     }
 
 
-def cards(tables: Tables, styles: dict[str, Style]) -> list[dict[str, Any]]:
-    """Return a card per overlay, in the order of tests and methods."""
-    names = dict(zip(tables.runs["run_id"], case_names(tables.runs), strict=True))
+def ordered(tables: Tables) -> list[dict[str, Any]]:
+    """Return the overlays in the order of tests and methods."""
     groups = zip(tables.runs["model"], tables.runs["test"], strict=True)
     tests = {key: i for i, key in enumerate(dict.fromkeys(groups))}
     methods = {method: i for i, method in enumerate(tables.methods)}
-    ordered = sorted(
+    return sorted(
         tables.overlays,
         key=lambda item: (tests[item["model"], item["test"]], methods[item["method"]]),
     )
-    return [_card(item, styles, names) for item in ordered]
-
-
-def _card(item: dict[str, Any], styles: dict[str, Style], names: dict[str, str]) -> dict[str, Any]:
-    name = names.get(item["run_id"], item["shape"])
-    level = f"{words(item['test'])} {item['level']:g}, trial {item['trial']}"
-    return {
-        "run": item["run_id"],
-        "method": item["method"],
-        "name": styles[item["method"]].name,
-        "where": name if item["test"] == OWN_TEST else f"{name}, {level}",
-        "test": item["test"],
-        "title": f"{item['rank']} run of {words(item['test'])}",
-        "rank": item["rank"],
-        "rmse": number(item.get("rmse")),
-        "status": item["status"],
-        "model": item["model"],
-    }

@@ -9,7 +9,7 @@ import pandas as pd
 from reports.figures import profile
 from reports.page import Page
 from reports.sections.outcome import success_rule
-from reports.tables import Tables, count_outcomes
+from reports.tables import Tables, count_outcomes, share_interval
 from workflows.outcomes import NOT_NEEDED, OUTCOMES, attempted
 from workflows.summary import summarise
 
@@ -48,18 +48,27 @@ def summary(tables: Tables) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for row in planned.to_dict("records"):
         key = tuple(row[name] for name in keys)
+        result = done.loc[key] if key in done.index else None
         rows.append(
             {
                 **{str(name): value for name, value in row.items()},
                 "planned": int(sizes[key]),
                 "floor": float(floors[key]),
                 "complete": row["outcome"] == f"{sizes[key]} finished",
-                "result": done.loc[key] if key in done.index else None,
+                "result": result,
+                "interval": _success_interval(result),
             }
         )
     # a block of methods per test
     groups = list(dict.fromkeys((row["model"], row["test"]) for row in rows))
     return sorted(rows, key=lambda row: groups.index((row["model"], row["test"])))
+
+
+def _success_interval(result: pd.Series | None) -> tuple[float, float] | None:
+    """Return Wilson's interval of the success rate of the attempted runs."""
+    if result is None:
+        return None
+    return share_interval(round(result["success"] * result["runs"]), int(result["runs"]))
 
 
 def _outcomes(outcomes: pd.Series) -> str:

@@ -1,11 +1,11 @@
 """Compare the CPU time and the work of two checkouts, solve by solve: ``make timings OLD=folder``.
 
-One process per checkout solves the same problems. Each problem is solved by one checkout and at once by
-the others, in alternating order, so that load of the machine reaches all alike. A repetition keeps the
-minimum of a few solves, because other work only adds CPU time (through caches and shared cores). On a
+One process per checkout solves the same problems. All checkouts solve a problem directly one after the
+other, in alternating order, so that the load of the machine affects them equally. A repetition keeps the
+minimum of a few solves, because other processes only add CPU time (through caches and shared cores). On a
 busy machine there are more repetitions, until the intervals of all ratios are narrow. The problems of
 `COUNTED` are solved once, for their exact work. `workflows.timing` judges the table, and ``make compare
-TIMES=…`` adds its verdicts.
+TIMES=…`` adds the verdicts.
 """
 
 from __future__ import annotations
@@ -167,9 +167,7 @@ def main(
 ) -> None:
     """Measure the CPU time of two checkouts in turn, and print the verdicts."""
     if not (Path(old) / "dcreg").is_dir() or not old:
-        print(
-            f"error: OLD={old}: name a checkout, as in `make timings OLD=folder`", file=sys.stderr
-        )
+        print(f"error: OLD={old}: not a checkout; use `make timings OLD=folder`", file=sys.stderr)
         raise typer.Exit(2)
     table = measure(Path(old), {"head": new}, repetitions)["head"]
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -1,9 +1,9 @@
-"""Plant changes and count how often the comparison finds them: ``python -m tests.bench.planted OUT.csv``.
+"""Count how often the comparison detects known changes: ``python -m tests.bench.planted OUT.csv``.
 
-Each trial measures an unchanged copy of the checkout and copies with planted changes in turn with the
-checkout itself, in new processes (`tests.bench.interleaved`), and judges each copy as ``make compare``
-does. The changes are made in copies in a temporary folder, never in the checkout. The command appends
-to the table, so a stopped experiment continues.
+Each trial compares the checkout with an unchanged copy, and with copies that are made slower or looser on
+purpose (*planted* changes). All run in turn, in new processes (`tests.bench.interleaved`), and each copy
+is judged as by ``make compare``. The copies are in a temporary folder. The command appends to the table,
+so a stopped experiment continues.
 """
 
 from __future__ import annotations

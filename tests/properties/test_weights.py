@@ -277,16 +277,19 @@ def test_bad_weights_are_refused(weights, message):
     [
         (
             {"model": "similarity3d"},
-            "weights: similarity3d in mode 'full' takes none; use similarity2d",
+            "weights: not supported by similarity3d in mode 'full'; use similarity2d",
         ),
-        ({"model": "rigid3d", "mode": "paper"}, "weights: rigid3d in mode 'paper' takes none"),
-        ({"model": "rigid3d", "bound": "dc"}, "weights: rigid3d in mode 'paper' takes none"),
-        ({"model": "rigid3d", "certificate": True}, "certificate: takes no weights"),
-        ({"model": "rigid3d", "max_rms": 0.1}, "max_rms: takes no weights"),
+        (
+            {"model": "rigid3d", "mode": "paper"},
+            "weights: not supported by rigid3d in mode 'paper'",
+        ),
+        ({"model": "rigid3d", "bound": "dc"}, "weights: not supported by rigid3d in mode 'paper'"),
+        ({"model": "rigid3d", "certificate": True}, "certificate: cannot be combined with weights"),
+        ({"model": "rigid3d", "max_rms": 0.1}, "max_rms: cannot be combined with weights"),
         ({"model": "rigid3d", "downsample": 4}, "downsample: weights would not be used"),
         (
             {"model": "rigid3d", "pose_range": dcreg.PoseRange(max_angle=30)},
-            "pose_range: takes no weights; omit pose_range or weights",
+            "pose_range: cannot be combined with weights; omit pose_range or weights",
         ),
     ],
 )
@@ -300,7 +303,7 @@ def test_settings_without_weights_refuse_them(settings, message):
 def test_many_weighted_points_are_refused():
     points = np.random.default_rng(0).random((1100, 3))
     weights = PointWeights(np.linspace(1.0, 2.0, 1100))
-    with pytest.raises(InputError, match="weights: 1100 x 1100 pairs exceed 1,200,000; thin"):
+    with pytest.raises(InputError, match="weights: 1100 x 1100 pairs exceed 1,200,000; downsample"):
         register(points, points, n_inliers=1100, model="rigid3d", weights=weights)
 
 

@@ -11,12 +11,15 @@ import pytest
 from pandas.testing import assert_frame_equal
 from report_fixture import write_tables
 
+from reports.archive import clouds as archived_clouds
 from reports.archive import crate, pages, read
 from reports.archive import write as writing
+from reports.runs import clouds as drawn_clouds
 from reports.tables import ReportError, Tables
 from workflows import records
 from workflows.archives import ArchiveError, archived
 from workflows.integrity import digest
+from workflows.stages.clouds import CLOUDS
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +48,50 @@ def test_restored_tables_are_those_of_the_results(results, archive, tmp_path):
         assert_frame_equal(stored.accounting, original.accounting)
         assert_frame_equal(stored.traces, writing.thinned(original.traces))
         assert (stored.provenance, stored.overlays) == (original.provenance, original.overlays)
+        assert drawn_clouds.of_instances(stored) == drawn_clouds.of_instances(original)
     study = pd.read_csv(tmp_path / "bounds" / "boxes.csv")
     assert_frame_equal(study, pd.read_csv(results / "bounds" / "boxes.csv"))
+
+
+def test_archived_clouds_are_thinned_with_the_pairs_that_remain(results, tmp_path, monkeypatch):
+    tables = Tables.load(results / "one" / "tables")
+    original = pd.read_parquet(tables.directory / CLOUDS).set_index("instance_id")
+    (tmp_path / "experiments" / "one").mkdir(parents=True)
+    monkeypatch.setattr(archived_clouds, "MOST_POINTS", 40)
+    counts = archived_clouds.write([tables], tmp_path, 10**9)
+    assert counts == {"one": {"stored": len(original), "of": len(original)}}
+    table = pd.read_parquet(tmp_path / "experiments" / "one" / CLOUDS)
+    assert list(table["instance_id"]) == list(original.index)
+    for name, dim, source, target, pairs in table.itertuples(index=False):
+        assert len(source) == len(target) == 40 * dim
+        whole = original.loc[name, "source"].reshape(-1, dim).tolist()
+        assert all(point in whole for point in source.reshape(-1, dim).tolist())
+        assert len(pairs) == 2 * 40  # each point of these clouds has its partner
+        assert pairs.max() < 40
+
+
+def test_clouds_that_do_not_fit_are_left_out_and_named(results, archive, tmp_path, monkeypatch):
+    clouds = sum(path.stat().st_size for path in archive.rglob(CLOUDS))
+    rest = sum(path.stat().st_size for path in archive.rglob("*") if path.is_file()) - clouds
+    monkeypatch.setattr(writing, "MOST_BYTES", int((rest + 0.4 * clouds) / 0.9))
+    own = writing.write([results], tmp_path / "own", "1.0")
+    crate.check(own)
+    read.folder_of(str(own), tmp_path)
+    counts = [one["clouds"] for one in read.facts(own)["experiments"].values()]
+    assert 0 < counts[0]["stored"] < counts[0]["of"]
+    said = list(archived_clouds.sentences(read.facts(own)))
+    assert f"{counts[0]['stored']} of {counts[0]['of']} instances of one" in said[0]
+    (place,) = read.restore(own, tmp_path / "restored", only="one")
+    assert len(pd.read_parquet(place / CLOUDS)) == counts[0]["stored"]
+    known = drawn_clouds.of_instances(Tables.load(place))
+    kinds = {one["kind"] for one in known.values()}
+    assert kinds == {drawn_clouds.TRUE, drawn_clouds.NEAREST}  # others are those of the overlays
+
+
+def test_the_committed_archive_has_no_clouds_and_says_so(tmp_path):
+    folder = read.folder_of("0.2.0", tmp_path)  # whose checksums hold
+    said = list(archived_clouds.sentences(read.facts(folder)))
+    assert said[0] == "The archive has no clouds of findings, except in its overlays."
 
 
 def test_histories_keep_their_ends_and_at_most_the_stated_events():
@@ -243,9 +288,12 @@ def test_all_pages_are_built_from_an_archive(archive, tmp_path):
     index = pages.build(str(archive), tmp_path / "pages")
     text = index.read_text()
     reports = [f"{name}/report/index.html" for name in ("one", "two")]
+    assert "python -m reports library" in text
     for link in (*reports, "claims/claims.html", "figures/index.html"):
         assert f'href="{link}"' in text
         assert (index.parent / link).is_file()
+    report = (index.parent / reports[0]).read_text(encoding="utf-8")
+    assert 'href="../../history/index.html"' in report
 
 
 def test_archived_runs_are_found_again_with_their_histories(results, archive, monkeypatch):

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import time
+
 import pandas as pd
 import pytest
+from rich.console import Console
 
 from reports.campaign import choice, run
 from reports.campaign.choice import options
@@ -156,3 +160,22 @@ def test_a_campaign_continues_from_the_blocks_of_an_archive(tmp_path, monkeypatc
     more.write(campaign.needs_path)
     campaign.adopt()
     assert Needs.read(campaign.needs_path) == more
+
+
+def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
+    views = []
+
+    def snakemake(directory, name, arguments, view_of):
+        views.append(view_of())
+        return 1
+
+    monkeypatch.setattr(run, "run_snakemake", snakemake)
+    campaign = Campaign(NAME, tmp_path)
+    NONE.with_block("noise", ["rpm_pa"]).write(campaign.needs_path)
+    console = Console(file=io.StringIO(), width=200)
+    expected = Forecast(1, 2.0, 0)
+    end = time.monotonic() + 600.0
+    assert not run._run(campaign, "claim", expected, end, 2, tmp_path, console)
+    count = len(list(campaign.plan().runs()))
+    assert views[0].summary([]).startswith(f"0 of {count} runs ended")
+    assert views[0].console is console

@@ -97,7 +97,9 @@ def test_the_command_writes_and_verifies_a_certificate(tmp_path):
 def test_a_range_of_poses_has_no_certificate():
     _, source, target = rigid_case()
     near = dcreg.PoseRange(max_angle=10.0)
-    with pytest.raises(dcreg.InputError, match="certificate: `dcreg verify` knows no ranges"):
+    with pytest.raises(
+        dcreg.InputError, match="certificate: `dcreg verify` does not support ranges"
+    ):
         register(source, target, n_inliers=8, model="rigid3d", pose_range=near, certificate=True)
 
 

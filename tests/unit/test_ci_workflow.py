@@ -1,4 +1,4 @@
-"""The workflow of GitHub Actions: commands that exist, scripts that parse, pinned actions, few rights."""
+"""The workflow of GitHub Actions: existing commands, scripts that parse, official actions, few rights."""
 
 import re
 import subprocess
@@ -22,7 +22,7 @@ def test_it_runs_for_pull_requests_with_rights_to_read_only():
 
 
 @pytest.mark.parametrize("step", STEPS, ids=lambda step: step.get("name") or str(step)[:40])
-def test_a_step_uses_a_pinned_action_or_runs_a_script(step):
+def test_a_step_uses_an_official_action_or_runs_a_script(step):
     assert set(step) <= KEYS
     assert ("uses" in step) != ("run" in step)
     assert re.fullmatch(r"actions/[a-z-]+@v\d+", step.get("uses", "actions/checkout@v1"))

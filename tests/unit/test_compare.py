@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import pandas as pd
@@ -10,14 +11,20 @@ import pytest
 from record_fixture import N_RUNS, about, table
 from typer.testing import CliRunner
 
-from workflows import recording
+from workflows import recording, verdict_text
 from workflows.__main__ import app
-from workflows.compare import compare, judge_experiment, sign_test
+from workflows.compare import compare, judge_records, sign_test
 from workflows.records import SCHEMA_VERSION
 
 
+def judged(base: pd.DataFrame, head: pd.DataFrame, old: object = None, new: object = None):
+    """Return the verdicts on two tables, recorded with these settings of the method."""
+    cards = ({"methods": {"dcreg": card}} if card else {} for card in (old, new))
+    return [*judge_records("e", *map(recording.Record, (base, head), cards))]
+
+
 def verdicts(base: pd.DataFrame, head: pd.DataFrame) -> dict[str, str]:
-    return {v.metric: v.verdict for v in judge_experiment("e", base, head)}
+    return {v.metric: v.verdict for v in judged(base, head)}
 
 
 @pytest.fixture
@@ -114,8 +121,38 @@ def test_success_lost_to_the_time_limit_is_a_regression(base):
     base = base.iloc[:12].assign(status="optimal")
     head = base.copy()
     head.loc[:5, ["status", "success"]] = ["time_limit", False]
-    (found,) = [v for v in judge_experiment("e", base, head) if v.metric == "success"]
+    (found,) = [v for v in judged(base, head) if v.metric == "success"]
     assert (found.base, found.head, found.verdict) == (12, 6, "worse")
+
+
+def test_a_slower_machine_is_not_a_regression(base):
+    """Runs that another machine does not finish in the same time say nothing about the version."""
+    head = base.assign(machine_id="other")
+    head.loc[:9, ["status", "success"]] = ["time_limit", False]
+    head.loc[0, ["rmse", "objective"]] = np.nan
+    assert "worse" not in verdicts(base, head).values()
+    (found,) = [v for v in judged(base, head) if v.metric == "success"]
+    assert found.detail == "12 runs at a limit excluded, from two machines"
+    head.loc[10, "status"] = "node_limit"
+    assert verdicts(base, head)["certified"] == "worse"
+    assert verdicts(base, head.assign(status="time_limit"))["success"] == "not compared"
+
+
+def test_a_method_with_other_settings_is_not_compared(base):
+    old = {"options": {}, "n_inliers_ratio": 1.0, "limits": {"time_s": 60.0}}
+    head = base.assign(success=False)
+    later = {**old, "limits": {"time_s": 60.0, "nodes": None}}
+    assert any(v.verdict == "worse" for v in judged(base, head, old, later))
+    for name, value in (
+        ("options", {"a": 1}),
+        ("n_inliers_ratio", 0.5),
+        ("limits", {"time_s": 9.0}),
+    ):
+        (found,) = judged(base, head, old, {**old, name: value})
+        assert found.verdict == "not compared"
+        assert found.detail.startswith(f"{name} differ: ")
+        shown = verdict_text.outcome(pd.DataFrame([asdict(found)]))
+        assert shown == "no regression, 1 not compared"
 
 
 def test_a_method_that_is_not_installed_on_one_side_is_not_compared(base):

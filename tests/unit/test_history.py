@@ -54,7 +54,7 @@ def test_the_page_is_one_file_and_names_version_and_verdict(history, tmp_path):
     rows = re.findall(r'<tr><th scope="row">v3</th><td>e</td>.*?</tr>', text)
     assert len(rows) == 2
     assert f"{N_RUNS - 2} of {N_RUNS - 2} runs differ" in " ".join(rows)
-    assert "Slow-down: 1 alarms in 2 comparisons." in text
+    assert "Slow-down: 1 alarm in 2 comparisons." in text
 
 
 def test_a_history_without_records_says_how_to_begin(tmp_path):

@@ -1,5 +1,6 @@
 """The library of problems with proven optima: files, records, checks, submissions and solves."""
 
+import hashlib
 import json
 import shutil
 from dataclasses import replace
@@ -13,19 +14,15 @@ from typer.testing import CliRunner
 import dcreg
 from data.library import evaluate, matchings, record, submit
 from data.library.__main__ import app
-from data.library.check import (
-    changed_files,
-    checksums,
-    faulty_poses,
-    faulty_proof,
-    sampled_proofs,
-)
+from data.library.check import faulty_poses, faulty_proof, sampled_proofs
 from data.library.problem import (
     HERE,
     PROBLEMS,
     LibraryError,
     Problem,
     all_problems,
+    changed_files,
+    checksums,
     find_problem,
     read_problem,
     write_problem,
@@ -282,13 +279,28 @@ def test_false_bounds_are_refused_with_the_reason(place):
     other = certificate_of(find_problem("fish-60-noise-05"))
     assert "differs from the cloud" in bound(place, other, 0.1).refused[0]
     fewer = replace(true, n_inliers=59)
-    assert "it is about model, n_inliers" in bound(place, fewer, 0.1).refused[0]
+    assert "its model, n_inliers" in bound(place, fewer, 0.1).refused[0]
     missing = submitted(place, better_bound={"lower_bound": 0.1, "proof": "nothing.npz"})
     assert "no such file" in missing.refused[0]
     assert read_record(ONE.id, place).bounds == []
 
 
+def test_an_easier_problem_of_the_same_name_is_not_accepted(place, monkeypatch):
+    folder = place / "problems"
+    folder.mkdir()
+    easier = write_problem(ONE.model_copy(update={"n_inliers": 10}), folder)
+    with pytest.raises(LibraryError, match="no problem"):
+        submitted(place, **claim(np.eye(3), 1.0), problem=str(easier.with_suffix("")))
+    changed = {**checksums(), ONE.id: hashlib.sha256(easier.read_bytes()).hexdigest()}
+    monkeypatch.setattr(submit, "checksums", lambda: changed)
+    with pytest.raises(LibraryError, match="its file is changed; restore it"):
+        submitted(place, **claim(np.eye(3), 1.0))
+    assert len(read_record(ONE.id, place).entries) == 1
+
+
 def test_a_submission_says_what_is_wrong_with_it(place):
+    with pytest.raises(LibraryError, match=r"better_pose\.objective: Input should be a finite"):
+        submitted(place, **claim(RECORDS[ONE.id].best_pose.pose, np.inf))
     with pytest.raises(LibraryError, match="give at least one of them"):
         submitted(place)
     with pytest.raises(LibraryError, match=r"better_pose\.objective: Field required"):
@@ -328,15 +340,18 @@ def test_verdicts_of_a_method():
             "proven": answer(best.pose, lower_bound=low, **scope),
             "solved": answer(best.pose),
             "missed": answer(far),
+            "too small": answer(np.diag([0.1, 0.1, 1.0])),
             "wrong": answer(far, lower_bound=low, **scope),
             "too high": answer(best.pose, lower_bound=1.1 * best.objective, **scope),
             "failed": {"status": "failed", "message": "no pose"},
         }.items()
     }
     found = {name: row["verdict"] for name, row in verdicts.items()}
-    assert found == {**{name: name for name in verdicts}, "too high": "wrong"}
+    assert found == {
+        **{name: name for name in verdicts}, "too high": "wrong", "too small": "missed",
+    }  # fmt: skip
     text = summary("method", pd.DataFrame(list(verdicts.values())), 1.0)
-    assert "solved: 0% in 0.1 s, 0% in 0.3 s, 33% in 1 s" in text
+    assert "solved: 0% in 0.1 s, 0% in 0.3 s, 29% in 1 s" in text
 
 
 def test_a_method_receives_neither_pose_nor_pairs():

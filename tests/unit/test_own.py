@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import zipfile
@@ -17,8 +18,8 @@ from data import registry as datasets
 from data.registry import read_card
 from dcreg.problem import apply_pose
 from reports.archive.sources import missing_code, write_readme, write_sources
-from reports.archive.write import pack
-from reports.tables import Tables
+from reports.archive.write import pack, write
+from reports.tables import ReportError, Tables
 from tests.unit import report_fixture
 from workflows import UserError, config, stand_ins
 from workflows.beside import needs_beside
@@ -77,9 +78,7 @@ def test_methods_and_datasets_next_to_a_config_are_found(study: Path) -> None:
     config.load(str(study / "mine.yaml"))
     assert os.environ[registry.SEARCH_PATH] == str(study / "baselines")
     (note,) = size_notes(plan)
-    assert note.startswith(
-        "my_scans: clouds of more than 300 points are reduced to 300 (n_points in"
-    )
+    assert note.startswith("my_scans: clouds of more than 300 points are reduced to 300; to change")
     (study / "baselines" / "my_method").rename(study / "baselines" / "icp")
     with pytest.raises(
         registry.BaselineError, match="'icp' is defined twice: by baselines/icp and b"
@@ -217,6 +216,11 @@ def test_an_archive_holds_config_and_code_of_ones_own_methods(study: Path) -> No
         "icp": {"baseline": "icp"},
     }
     runs = tables.runs.assign(dataset="my_scans")
+    secret = study / "secret.txt"
+    secret.write_text("secret")
+    (study / "baselines" / "my_method" / "linked.txt").symlink_to(secret)
+    (study / "baselines" / "my_method" / ".env").write_text("secret")
+    (study / "data" / "my_scans" / "left.ply").write_text("secret")
     out = study / "archive"
     out.mkdir()
     added = write_sources(Tables(**{**vars(tables), "runs": runs}), out)
@@ -235,6 +239,26 @@ def test_an_archive_holds_config_and_code_of_ones_own_methods(study: Path) -> No
     assert pack(out).read_bytes() == first
     with zipfile.ZipFile(out.with_name("archive.zip")) as packed:
         assert "archive/CITATION.cff" in packed.namelist()
+
+
+def test_an_archive_names_no_place_outside_of_the_checkout(study: Path) -> None:
+    report_fixture.write_tables(study / "results" / "mine" / "tables")
+    path = study / "results" / "mine" / "tables" / "provenance.json"
+    own = str(study / "mine.yaml")
+    known = json.loads(path.read_text(encoding="utf-8")) | {
+        "config_file": f"../..{own}", "replay": f"make replay RESULTS=../..{study}/results RUN=",
+        "commands": [f"python -m workflows run {own} --methods icp"],
+        "git": {"commit": "abc", "dirty": True, "untracked": [f"data/{study.name}/patient.ply"]},
+    }  # fmt: skip
+    next(iter(known["methods"].values()))["origin"] = str(study / "baselines" / "my_method")
+    path.write_text(json.dumps(known), encoding="utf-8")
+    with pytest.raises(ReportError, match=r"version: '\.\.'"):
+        write([study / "results"], study / "published" / "..", "..")
+    out = write([study / "results"], study / "published" / "1", "1")
+    texts = {file.name: file.read_bytes() for file in out.rglob("*.json")}
+    assert not [name for name, text in texts.items() if str(study).encode() in text]
+    assert b"patient.ply" not in texts["provenance.json"]
+    assert b"python -m workflows run config.yaml --methods icp" in texts["archive.json"]
 
 
 def test_an_archive_says_what_code_it_lacks_and_how_to_add_it(tmp_path: Path) -> None:

@@ -190,7 +190,7 @@ def test_what_is_no_method_is_an_error_with_the_remedy(
     assert check.main(["no_such_thing"]) == 2
     assert "neither a method, nor a folder, nor an installed package" in capsys.readouterr().err
     assert check.main([str(tmp_path)]) == 2
-    assert "no card.yaml and adapter.py in this folder" in capsys.readouterr().err
+    assert "no card.yaml and adapter.py here" in capsys.readouterr().err
     (tmp_path / "pyproject.toml").touch()
     assert check.main([str(tmp_path)]) == 2
     assert "not installed; run" in capsys.readouterr().err

@@ -11,6 +11,7 @@ from rich.console import Console
 from baselines import registry
 from workflows.config import Experiment, parse_selection
 from workflows.integrity import sealed
+from workflows.labels import display_names
 from workflows.outlook import outlook_of
 from workflows.stages.plan import expand
 from workflows.summary import print_baselines, print_plan, print_summary
@@ -25,6 +26,25 @@ def test_the_list_of_methods_shows_the_key_that_a_config_needs(monkeypatch):
     lines = console.export_text().splitlines()
     (row,) = [line for line in lines if "│ Fault" in line]
     assert row.split("│")[1].strip() == "fault"
+
+
+def test_a_plan_shows_the_names_of_its_methods_and_their_keys(tmp_path):
+    experiment = Experiment(
+        name="e",
+        datasets=[{"dataset": "embedded", "shapes": ["fish"], "tests": {"noise": [0.1]}}],
+        methods=[
+            {"name": "one", "baseline": "cpd", "label": "CPD [red]"},
+            {"name": "two", "baseline": "cpd", "n_inliers_ratio": 0.5},
+        ],
+    )
+    console = Console(record=True, width=200)
+    print_plan(expand(experiment), tmp_path, 2, console)
+    rows = [
+        line.split("│") for line in console.export_text().splitlines() if "similarity2d" in line
+    ]
+    shown = {row[2].strip(): row[1].strip() for row in rows}
+    assert shown == display_names(experiment.methods)
+    assert shown["one"] == "CPD [red]"
 
 
 def test_methods_with_one_displayed_name_are_distinguished(tmp_path):

@@ -28,7 +28,7 @@ class Adapter(Baseline):
 def method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return the folder of a method that only shifts."""
     folder = template.new_baseline("mine", root=tmp_path)
-    edit_card(folder, parameters={})
+    edit_card(folder, parameters={}, ranges={})
     write_adapter(folder, "0.5")
     monkeypatch.setenv("DCREG_BASELINES_PATH", str(tmp_path))
     return folder

@@ -115,7 +115,15 @@ def test_two_methods_are_compared(page):
     assert column(page, "versus-counts", 3)[0] == str(won)
 
 
+def open_summary(browser) -> None:
+    """Open the table of methods and tests, which is not in the page before."""
+    assert browser.execute_script("return $('#summary')") is None
+    browser.execute_script("$('#overview details[data-part]').open = true")
+    wait(browser, "$('#summary')")
+
+
 def test_sorting_puts_missing_values_last_both_ways(page):
+    open_summary(page)
     head = page.find_elements("css selector", "#summary thead th button")[5]
     for way in ("ascending", "descending"):
         page.execute_script("arguments[0].click()", head)
@@ -128,7 +136,7 @@ def test_sorting_puts_missing_values_last_both_ways(page):
 
 
 def test_filter_narrows_the_summary(page):
-    page.execute_script("$('#summary').closest('details').open = true")
+    open_summary(page)
     page.find_element("css selector", "[data-filter-text]").send_keys("icp noise")
     rows = page.execute_script(
         "return $$('#summary tbody tr').filter(r => !r.hidden).map(r => r.innerText)"
@@ -189,10 +197,18 @@ def test_statistic_and_scale_switches(page):
 
 def test_a_method_is_hidden_everywhere(page):
     element = drawn(page, "levels-similarity2d")
+    page.execute_script("$('#gallery').scrollIntoView()")
+    wait(page, "$('#gallery-cards').children.length")
+    cards = "$('#gallery-cards').innerText.includes('DC-Reg [dcreg-half]')"
+    choose(page, "#gallery-filter [data-choice=group]", "c.value = ''")
+    page.execute_script("$('#gallery-filter').dispatchEvent(new Event('input'))")
+    wait(page, cards)
     page.execute_script("document.querySelector('[data-toggle-method=dcreg-half]').click()")
+    wait(page, f"!{cards}")
+    open_summary(page)
     wait(page, f"!{element}.data.some(t => t.meta.method === 'dcreg-half')")
     for part in (
-        ".matrix", "#outcomes", "#accounting", "#summary", "#unfinished", "#attribution", ".cards",
+        ".matrix", "#outcomes", "#accounting", "#summary", "#unfinished", "#attribution",
         ".method-cards",
     ):  # fmt: skip
         rows = page.execute_script(
@@ -220,12 +236,13 @@ def test_methods_wrap_within_the_screen(page):
 
 def test_an_overlay_opens_the_view_of_its_run(page):
     page.execute_script(
-        "const s = document.querySelector('[data-filter=group]');"
+        "const s = $('#gallery-filter [data-choice=group]');"
         "s.value = arguments[0]; s.dispatchEvent(new Event('input', {bubbles: true}));"
         "document.getElementById('gallery').scrollIntoView()",
         "similarity2d|deformation",
     )
-    card = ".card[data-method]:not([hidden])"
+    card = "#gallery-cards .card"
+    wait(page, f"document.querySelector('{card}')")
     wait(page, f"document.querySelector('{card} canvas').dataset.drawn")
     colours = page.execute_script(
         f"const c = document.querySelector('{card} canvas');"
@@ -276,6 +293,9 @@ def test_phone_has_no_sideways_scroll_and_stacked_panels(page, scheme):
     page.refresh()
     element = drawn(page, "levels-similarity2d")
     drawn(page, "bounds")
+    page.execute_script(
+        "chips.forEach(chip => chip.append(' and a name wider than a phone'.repeat(3)))"
+    )
     assert page.execute_script("return document.documentElement.scrollWidth") <= 390
     domains = page.execute_script(
         f"return Object.entries({element}.layout).filter(([k]) => /^xaxis/.test(k))"

@@ -12,9 +12,9 @@ from workflows.cli import user_errors
 app = typer.Typer(help=__doc__, add_completion=False, no_args_is_help=True)
 
 Names = Annotated[
-    list[str] | None, typer.Argument(help="Problems, or beginnings of names; default: all.")
+    list[str] | None, typer.Argument(help="Names of problems or prefixes of names; default: all.")
 ]
-Limit = Annotated[float, typer.Option(help="Processor time per solve, in seconds.", min=0.1)]
+Limit = Annotated[float, typer.Option(help="CPU time per solve, in seconds.", min=0.1)]
 
 
 @app.command()
@@ -39,7 +39,7 @@ def solve(names: Names = None, limit: Limit = 10.0) -> None:
 @app.command()
 @user_errors
 def record(names: Names = None) -> None:
-    """Add the answers of `solve` to the records, after the checks that every submission passes."""
+    """Check the answers of `solve` like submissions, and add them to the records."""
     from workflows.library.choose import chosen
     from workflows.library.recording import record_answers
 
@@ -64,15 +64,15 @@ def prove(
 @app.command()
 @user_errors
 def run(
-    solver: Annotated[str, typer.Argument(help="A method of `make baselines`.")] = "dcreg",
+    method: Annotated[str, typer.Argument(help="A method of `make baselines`.")] = "dcreg",
     names: Names = None,
     limit: Limit = 10.0,
 ) -> None:
-    """Run a method on the problems and print what it solved."""
+    """Run a method on the problems and print a table of its verdicts."""
     from workflows.library.choose import chosen
     from workflows.library.running import run_method
 
-    run_method(solver, chosen(names), limit)
+    run_method(method, chosen(names), limit)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The problems that a command is about."""
+"""Select problems by name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dcreg.problem import suggestion
 
 
 def chosen(names: Sequence[str] | None) -> list[Problem]:
-    """Return the problems with these names, or whose names begin so; all by default.
+    """Return the problems with these names or prefixes of names; all by default.
 
     Raises
     ------

@@ -16,7 +16,7 @@ DECIMALS = 6  # of the coordinates; a problem consists of the rounded numbers
 
 @dataclass(frozen=True)
 class Draft:
-    """A problem of the library as its construction makes it.
+    """A problem as its construction makes it.
 
     Attributes
     ----------
@@ -27,12 +27,12 @@ class Draft:
         True pairs.
     n_inliers : int
     unit : str
-        What a length of 1 is.
+        The meaning of a length of 1.
     planted_optima : int, optional
         Number of distinct optima, if the construction determines it.
     scale_range : (low, high)
     recipe : dict, optional
-        Where the points come from, if they must not be part of the library.
+        How to fetch the points, if they are third-party data.
     """
 
     name: str

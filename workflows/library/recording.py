@@ -128,9 +128,9 @@ def _with_bound(
 
 
 def _with_optima(problem: Problem, record: Record) -> Record:
-    """Add the number of optima, where all matchings can be tried or the construction states it.
+    """Add the number of optima, if all matchings can be tried or the construction states it.
 
-    All matchings also prove the bound of a tiny problem whose search did not end.
+    Trying all matchings also proves the bound of a tiny problem whose search did not end.
     """
     if record.optima is not None or record.best_pose is None:
         return record

@@ -76,10 +76,11 @@ def instance_of(problem: Problem) -> Instance:
 def judged(problem: Problem, answer: dict[str, Any]) -> dict[str, Any]:
     """Compare an answer with the best known pose and bound.
 
-    The verdict is ``proven`` (the optimum, with the method's own closed bounds), ``solved`` (a pose that
-    the local search improves to within 1 % of the best known objective), ``missed`` (a worse pose),
-    ``wrong`` (a stated bound above the best known objective, or a worse pose stated to be optimal),
-    or the status of a run without a pose.
+    The pose is improved by a local search first. The verdict is ``solved`` (its objective is within 1 %
+    of the best known one), ``proven`` (the same, and certified by the bounds of the method), ``missed``
+    (its objective is higher, or the pose is outside of the model), ``wrong`` (the method states a lower
+    bound above the best known objective, or that a missed pose is optimal), or the status of a run
+    without a pose.
     """
     record, status = read_record(problem.id), Status(answer["status"])
     row = {
@@ -93,7 +94,7 @@ def judged(problem: Problem, answer: dict[str, Any]) -> dict[str, Any]:
     try:
         pose = admissible(problem, answer["T_target_source"])
     except LibraryError as error:
-        return {**row, "verdict": "wrong", "note": str(error)}
+        return {**row, "verdict": "missed", "note": str(error)}
     stated = dcreg.Problem(*problem.clouds, **problem.keywords())
     value = evaluate(problem, admissible(problem, polish(stated, pose)[0]))
     lower, is_right = answer.get("lower_bound"), value <= RIGHT_GAP * record.objective
@@ -102,7 +103,7 @@ def judged(problem: Problem, answer: dict[str, Any]) -> dict[str, Any]:
     if lower is not None and of_pose:
         row["gap"] = (value - lower) / value if value else 0.0
         if lower > record.objective * (1 + CROSSED) or (status is Status.OPTIMAL and not is_right):
-            note = f"states the bound {lower:.6g}; a pose with {record.objective:.6g} is known"
+            note = f"lower bound {lower:.6g}, but a pose with objective {record.objective:.6g} is known"
             return {**row, "verdict": "wrong", "note": note}
         if is_right and status is Status.OPTIMAL:
             return {**row, "verdict": "proven"}
@@ -110,7 +111,7 @@ def judged(problem: Problem, answer: dict[str, Any]) -> dict[str, Any]:
 
 
 def summary(name: str, table: pd.DataFrame, limit_s: float) -> str:
-    """Return the table of a method in words: verdicts by status of the library, and the profile."""
+    """Return the table of a method as text: verdicts by status of the problems, and the profile."""
     verdicts = ["proven", "solved", "missed", "wrong"]
     others = sorted(set(table["verdict"]) - set(verdicts))
     counts = (

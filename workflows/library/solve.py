@@ -1,8 +1,8 @@
 """Solve the problems with the library: ``python -m workflows.library solve``.
 
 Each problem is solved with default options, then with a certificate, which the independent checker
-verifies. The answers are kept in ``results/library``, so the command can be repeated: it continues with
-the problems that have no proof after as much processor time as is now allowed.
+verifies. The answers are kept in ``results/library``. A repeated command skips the problems that are
+proven, or that already had as much CPU time as is now allowed.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from dcreg.status import Status
 
 ANSWERS = Path("results") / "library"
 PROVE = {"certificate": True, "prove": True}  # options of a solve that keeps its proof
-WALL_PER_CPU = 8.0  # wall time per processor time, at most, on a busy machine
+WALL_PER_CPU = 8.0  # wall time per CPU time, at most, on a busy machine
 
 
 @dataclass(frozen=True)
 class Answer:
-    """One solve: what was found, with which options, and in how much processor time.
+    """One solve: what was found, with which options, and in how much CPU time.
 
     Attributes
     ----------
@@ -37,15 +37,15 @@ class Answer:
     objective : float
     lower_bound : float
     cpu_s, limit_s : float
-        Processor time taken and allowed.
+        CPU time taken and allowed.
     scope : str
         What the bounds refer to.
     checked_bound : float, optional
         Lower bound that the independent checker proved.
     check_s : float, optional
-        Its processor time.
+        CPU time of the check.
     reason : str
-        Why it did not accept the proof.
+        Why the checker did not accept the proof.
     version : str
         Of dcreg.
     date : str
@@ -87,7 +87,7 @@ def solve_all(problems: Iterable[Problem], limit_s: float, folder: Path = ANSWER
 
 
 def solve(problem: Problem, limit_s: float, folder: Path = ANSWERS) -> list[Answer]:
-    """Solve one problem, unless its answers are final or had as much time; return the new answers."""
+    """Solve one problem, unless it is proven or had as much time; return the new answers."""
     new = []
     default = read_answer(folder / f"{problem.id}.default.json")
     if default is None or (not _is_proven(default) and default.limit_s < limit_s):

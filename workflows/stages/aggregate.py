@@ -269,7 +269,7 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
         "schema_version": records.SCHEMA_VERSION,
         "experiment": plan.experiment.name,
         "config": plan.experiment.model_dump(),
-        # of one's own: relative to the checkout
+        # a config of the user: relative to the checkout
         "config_file": os.path.relpath(plan.config, CHECKOUT)
         if Path(plan.config).is_file()
         else "",

@@ -12,14 +12,14 @@ from workflows.instances import Problem, Truth, read_problems, read_truths
 from workflows.stages.plan import Plan
 
 CLOUDS = "clouds.parquet"
-# Points of a cloud that are kept, and of all clouds together: few instances keep more points each.
+# Most points of a cloud and of all clouds together; if there are few instances, each keeps more points.
 MOST_POINTS, FEWEST_POINTS, POINTS = 400, 60, 800_000
 MOST_INSTANCES = 10_000
 DIGITS = 4  # of coordinates, relative to the extent of the cloud
 
 
 def clouds(plan: Plan, folder: Path) -> pd.DataFrame:
-    """Return a row per instance: its clouds, flattened, and its true pairs as rows of these.
+    """Return a row per instance: its clouds, flattened, and its true pairs as row numbers.
 
     At most `MOST_INSTANCES`, the first ones of the plan.
     """
@@ -52,9 +52,9 @@ def _row(problem: Problem, truth: Truth | None, most: int) -> dict[str, object]:
 def thinned(
     source: np.ndarray, target: np.ndarray, pairs: np.ndarray, most: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return at most `most` points of each cloud, and the pairs among them as rows of these.
+    """Return at most `most` points of each cloud, and the pairs among them as row numbers.
 
-    Pairs stay together: as large a share of them is kept as of the points.
+    Both points of a pair are kept or dropped; the share of kept pairs equals that of kept points.
     """
     share = min(1.0, most / max(len(source), len(target)))
     pairs = _spread(pairs, math.ceil(share * len(pairs)))

@@ -112,7 +112,7 @@ def judge(
 
 
 def _value(name: str, metric: Metric, case: Case) -> float:
-    """Compute a metric; one that another package adds may fail, and is then empty."""
+    """Compute a metric; if one of another package fails, its value is empty."""
     if metric.compute is None:
         return np.nan
     try:

@@ -171,7 +171,7 @@ def expand(
 ) -> Plan:
     """Return the plan of the selected part of an experiment, or of the needed blocks.
 
-    A selected method that the experiment lacks is added to it, if it exists.
+    A selected method that the experiment does not have is added to it, if it exists.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def plan_table(plan: Plan, runs: Iterable[PlannedRun] | None = None) -> pd.DataF
 
 
 def size_notes(plan: Plan) -> list[str]:
-    """Say of each dataset of the plan how its clouds are reduced, if they are."""
+    """Return a note for each dataset of the plan whose clouds are reduced."""
     sizes = {
         (spec.dataset, spec.n_points): None for chunk in plan.chunks for spec in chunk.instances
     }

@@ -1,4 +1,4 @@
-"""What a solve job reports while it runs: a small file next to its results, for `workflows.live`.
+"""The state of a solve job while it runs: a small file next to its results, for `workflows.live`.
 
 The file is written at most once a second and removed at the end of the job. A file that is older than
 `STALE_S` was left behind by a job that was killed.

@@ -47,7 +47,7 @@ class WorkerDiedError(WorkerLostError):
 class Worker:
     """One worker process and the pipe to it.
 
-    `watch` is called while the worker is busy, with the share that its search has proven if that is new.
+    While the worker is busy, `watch` is called, with the proven share of its search if that has changed.
     """
 
     def __init__(
