@@ -227,7 +227,8 @@ class Attempt:
             with suppress(Interrupted):
                 own = space.refine(space.parameter(self.problem.init))
                 budget.report_incumbent(own[1])
-        theta, value, spent = space.start(budget, self.problem.tolerance.enough)
+        known = np.inf if own is None else own[1]
+        theta, value, spent = space.start(budget, self.problem.tolerance.enough, known)
         if own is not None:
             space.ends = [*space.ends, own[:2]]
             spent += own[2]

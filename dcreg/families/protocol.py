@@ -209,11 +209,13 @@ class Space(abc.ABC):
             yield seed, spent
             spent = 0
 
-    def start(self, budget: Budget, enough: float = 0.0) -> tuple[np.ndarray, float, int]:
+    def start(
+        self, budget: Budget, enough: float = 0.0, known: float = np.inf
+    ) -> tuple[np.ndarray, float, int]:
         """Return the best result of the local searches from `starts`.
 
         At least one local search is begun, even if the time is over. After `n_descents` local searches, a
-        value of at most `enough` ends the list of starts.
+        value of at most `enough` ends the list of starts. Only values below `known` are reported.
 
         Returns
         -------
@@ -234,7 +236,8 @@ class Space(abc.ABC):
                 ends.append((theta, found))
                 if found < value:
                     best, value = theta, found
-                    budget.report_incumbent(value)
+                    if value < known:
+                        budget.report_incumbent(value)
                 if tried >= self.n_descents and value <= enough:  # before the next start is made
                     break
         except Interrupted:

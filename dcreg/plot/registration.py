@@ -105,7 +105,7 @@ def _points(points: np.ndarray, name: str, color: str, *, ring: bool = False) ->
     size = 6 if points.shape[1] == 2 else 4 if len(points) < 1000 else 2
     return _scatter(
         points[::step],
-        name=name if step == 1 else f"{name} (every {step}th point)",
+        name=name if step == 1 else f"{name} (1 of {step} points)",
         mode="markers",
         marker={
             "color": color,

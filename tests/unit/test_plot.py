@@ -168,7 +168,7 @@ def test_large_clouds_are_thinned_and_say_so(monkeypatch):
     monkeypatch.setattr(plot, "_MAX_POINTS", 10)
     cloud = np.random.default_rng(0).random((35, 2))
     figure = plot.figures(cloud, cloud, result(2))["before, at most 10 points and pairs shown"]
-    (before,) = traces(figure, "source (every 4th point)")
+    (before,) = traces(figure, "source (1 of 4 points)")
     np.testing.assert_allclose(coordinates(before), cloud[::4], atol=1e-4)
     assert list(before.customdata) == list(range(0, 35, 4))
 

@@ -380,3 +380,15 @@ def test_one_pair_far_from_the_origin_is_not_called_greedy():
         source, target = generator.normal(size=(1, 3)), 10.0 * generator.normal(size=(1, 3))
         found = dcreg.register(source, target, n_inliers=1, model="rigid3d")
         assert not any("before all pairs" in warning for warning in found.warnings)
+
+
+def test_initial_poses_worse_than_the_initial_guess_are_not_reported():
+    rng = np.random.default_rng(3)
+    source, target = rng.random((30, 3)), rng.random((30, 3))
+    options = {"n_inliers": 15, "model": "rigid3d", "node_limit": 1}
+    best = dcreg.register(source, target, **options).T_target_source
+    guess = dcreg.SolveOptions(init=best)
+    found = dcreg.register(source, target, **options, options=guess)
+    upper = [event.upper_bound for event in found.trace if event.stage == "start"]
+    assert upper == sorted(upper, reverse=True)
+    assert upper[0] == pytest.approx(min(upper))
