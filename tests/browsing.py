@@ -49,7 +49,8 @@ def view(browser, width: int, scheme: str) -> None:
 
 
 def open_page(browser, path: Path) -> None:
-    """Open a file, and forget what was logged before."""
+    """Open a file, and forget what was logged before; the previous page stops loading first."""
+    browser.get("about:blank")
     browser.get_log("performance")
     browser.get_log("browser")
     browser.get(path.as_uri())

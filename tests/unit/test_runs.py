@@ -101,7 +101,7 @@ def test_clouds_come_from_overlays_or_from_their_table(made, tables, tmp_path):
     overlaid = clouds.of_instances(without)[known[item["run_id"]]["instance"]]
     np.testing.assert_allclose(overlaid["source"], item["source"], atol=1e-3)
     assert overlaid["kind"] == clouds.NEAREST
-    stored = clouds.of_instances(Tables(tmp_path, tables.runs, *[None] * 3))
+    stored = clouds.of_instances(Tables(tmp_path, tables.runs, None, {}, []))
     assert stored == {
         "a": {
             "source": [[0, 1], [2, 3]],

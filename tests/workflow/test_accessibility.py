@@ -91,6 +91,8 @@ def test_page_has_no_barrier_and_prints_over_nothing(browser, pages, kind):
 def test_view_of_a_run_has_no_barrier(browser, pages):
     view(browser, 420, "dark")
     open_page(browser, pages["report"])
+    browser.execute_script("document.getElementById('gallery').scrollIntoView()")
+    wait_for(browser, "document.querySelector('a.view')")
     browser.execute_script("location.hash = document.querySelector('a.view').hash")
     wait_for(browser, "document.getElementById('run').dataset.drawn")
     browser.execute_script(SHORTEN)
