@@ -7,6 +7,7 @@ give the same doubles when they are read.
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import json
 import re
@@ -22,7 +23,6 @@ from data.contract import SHA256, DataError
 from data.library.recipe import Recipe
 from dcreg.certificate.format import digest
 from dcreg.files import write_text
-from dcreg.problem import suggestion
 
 HERE = Path(__file__).parent
 PROBLEMS = HERE / "problems"
@@ -223,7 +223,11 @@ def find_problem(problem_id: str) -> Problem:
     is_name = re.fullmatch(rf"{_NAME}@[0-9]+", problem_id)  # not a path to another file
     if is_name and problem_path(problem_id).is_file():  # an older version
         return read_problem(problem_path(problem_id))
-    raise LibraryError(f"no problem {problem_id!r}{suggestion(problem_id, known)}")
+    similar = difflib.get_close_matches(problem_id, known, n=5, cutoff=0.5)
+    hint = f"; similar: {', '.join(similar)}" if similar else ""
+    raise LibraryError(
+        f"no problem {problem_id!r}{hint}; `python -m data.library list` prints all names"
+    )
 
 
 def checksums() -> dict[str, str]:

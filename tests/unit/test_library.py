@@ -121,7 +121,7 @@ def test_changed_points_and_bad_fields_are_refused(tmp_path):
     path.write_text(ONE.text().replace('"n_inliers": 60', '"n_inliers": 0'), encoding="utf-8")
     with pytest.raises(LibraryError, match=r"n_inliers: Input should be greater"):
         read_problem(path)
-    with pytest.raises(LibraryError, match="did you mean 'fish-60-noise-03@1'"):
+    with pytest.raises(LibraryError, match="similar: fish-60-noise-03@1"):
         find_problem("fish-60-noise-3@1")
 
 

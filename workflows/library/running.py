@@ -121,8 +121,10 @@ def summary(name: str, table: pd.DataFrame, limit_s: float) -> str:
     )
     right = table[table["verdict"].isin(("proven", "solved"))]
     gaps = table.groupby("library_status")["gap"].median()
-    counts["median gap"] = gaps.map(lambda gap: "none" if np.isnan(gap) else f"{gap:.2%}")
-    counts["median time, s"] = right.groupby("library_status")["time_s"].median().round(3)
+    counts["median gap"] = gaps.map(lambda gap: "-" if np.isnan(gap) else f"{100 * gap:.2f} %")
+    times = right.groupby("library_status")["time_s"].median().reindex(counts.index)
+    counts["median time, s"] = times.map(lambda found: "-" if np.isnan(found) else f"{found:.3g}")
+    counts = counts.rename_axis(index=None, columns="status")
     shares = ", ".join(
         f"{(right['time_s'] <= at).sum() / len(table):.0%} in {at:g} s"
         for at in PROFILE_S if at <= limit_s
