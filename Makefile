@@ -100,7 +100,7 @@ report: setup
 ## replay: repeat a stored run, RUN=run_id, and compare the results (RESULTS=folder of the stored run; BOXES=1: draw its boxes)
 .PHONY: replay
 replay: setup
-	@$(BIN)/python -m $(if $(BOXES),reports boxes,workflows replay) $(RUN) $(if $(RESULTS),--results $(RESULTS))
+	@$(BIN)/python -m $(if $(BOXES),reports boxes,workflows replay) $(RUN) $(if $(RESULTS),--results '$(RESULTS)')
 
 ## plan: print the runs of CONFIG=… and their estimated time without running them
 .PHONY: plan

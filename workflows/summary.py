@@ -104,8 +104,8 @@ def print_plan(plan: Plan, folder: Path, cores: int, console: Console | None = N
     about = "about" if all(row.known for row in outlook) else "at most"
     console.print(
         f"{sum(row.runs for row in outlook)} runs, {sum(row.finished for row in outlook)} of them "
-        f"finished; the rest takes {about} {duration(seconds / cores)} on {cores} cores, "
-        "without the start and the compilation of methods"
+        f"finished; the rest takes {about} {duration(seconds / cores)} on {cores} "
+        f"core{'s' * (cores > 1)}, without the start and the compilation of methods"
     )
     _print_report(folder / plan.view / "report" / "index.html", console)
 
