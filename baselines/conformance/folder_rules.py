@@ -39,9 +39,10 @@ def card_is_complete(method: Candidate) -> None:
         )
 
 
-def colour_and_name_are_unique(method: Candidate) -> None:
-    """Its colour and its displayed name differ from those of all other methods."""
+def look_and_name_are_unique(method: Candidate) -> None:
+    """Its displayed name, and its colour and marker together, differ from those of all other methods."""
     card = method.card
+    look = card.color.lower(), card.marker
     for name in registry.names():
         if name == method.name:
             continue
@@ -49,10 +50,15 @@ def colour_and_name_are_unique(method: Candidate) -> None:
             other = registry.read_card(name)
         except registry.BaselineError:
             continue  # another method that is broken
-        for key in ("color", "display_name"):
-            value = getattr(card, key)
-            is_free = getattr(other, key).lower() != value.lower()
-            require(is_free, f"card.yaml: {key} {value!r} is that of {name}; choose another")
+        require(
+            other.display_name.lower() != card.display_name.lower(),
+            f"card.yaml: display_name {card.display_name!r} is that of {name}; choose another",
+        )
+        require(
+            (other.color.lower(), other.marker) != look,
+            f"card.yaml: color {card.color!r} with marker {card.marker!r} is that of {name}; choose "
+            "another colour or marker",
+        )
 
 
 def parameters_are_accepted(method: Candidate) -> None:
@@ -152,7 +158,7 @@ def other_models_are_unsupported(method: Candidate) -> None:
 
 
 RULES: tuple[Callable[[Candidate], None], ...] = (
-    card_is_complete, colour_and_name_are_unique, parameters_are_accepted, every_parameter_is_read,
+    card_is_complete, look_and_name_are_unique, parameters_are_accepted, every_parameter_is_read,
     numbers_have_ranges, options_without_effect_are_refused, unknown_options_are_refused,
     available_or_says_how_to_get_it, other_models_are_unsupported,
 )  # fmt: skip
