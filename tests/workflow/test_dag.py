@@ -323,7 +323,7 @@ def test_a_plan_is_printed_as_a_table_and_makes_nothing(checkout, tmp_path):
     assert "icp" in output
     assert "dcreg" not in output
     assert "6 runs, 3 of them finished; the rest takes" in output
-    assert "about 2 s on 2 cores" in " ".join(output.split())
+    assert "at most 2 s on 2 cores" in " ".join(output.split())
     assert sorted(checkout.root.glob("results/**/*")) == files
 
 
