@@ -74,6 +74,6 @@ def test_the_commands_of_a_config_given_by_path_work(tmp_path):
     assert done.exit_code == 0, done.output
     assert "1 runs, 0 of them finished" in done.output
     report = path.parent / "results/mine/parts/tests-noise_levels-0.01/report/index.html"
-    assert f"report: {os.path.relpath(report)}\n" in done.output
+    assert f"no report yet: {os.path.relpath(report)}\n" in done.output
     of_blocks = expand(config.load(str(path)), None, str(path), Needs({"noise": {"icp": 1}}))
     assert shlex.split(run_command(of_blocks))[3:] == ["evidence", "--experiments", str(path)]

@@ -205,7 +205,7 @@ def test_outputs(call, tmp_path, fake):
     assert content["T_target_source"] == np.eye(3).tolist()
     kinds = [json.loads(line)["kind"] for line in paths[1].read_text().splitlines()]
     assert kinds == ["bound", "end"]
-    assert "Plotly.newPlot" in paths[2].read_text()
+    assert ".newPlot(" in paths[2].read_text()
 
 
 def test_json_on_standard_output_is_its_only_content(call, fake):

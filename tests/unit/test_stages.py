@@ -1,6 +1,7 @@
 """Every stage of every 3D mode reports its bounds: to the listener, in the trace and on the page."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.plot.packing import unpack
 from dcreg.search import Interrupted
 from tests.problems import register
 
@@ -90,5 +92,6 @@ def test_trace_file_and_page_name_all_stages(clouds, solved, tmp_path):
     expected = {"full": {"rigid"}, "paper": {"search", "rotation"}}
     assert {"start"} | expected[mode] <= stages
     html = page.read_text(encoding="utf-8")
+    figures = unpack(re.search(r'id="data">([^\n]*)</script>', html)[1]).decode()
     for stage in stages:
-        assert f'"name":"{stage}"' in html  # a band
+        assert f'"name":"{stage}"' in figures  # a band

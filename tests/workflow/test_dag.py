@@ -32,7 +32,10 @@ from workflows.running import the_only_run
 
 CHECKOUT = Path(__file__).parents[2]
 FAULTY = CHECKOUT / "tests" / "workflow" / "baselines"
-PARTS = ("Snakefile", "workflows", "baselines", "data", "dcreg", "reports", "requirements.lock")
+PARTS = (
+    "CITATION.cff", "Snakefile", "workflows", "baselines", "data", "dcreg", "reports",
+    "requirements.lock",
+)  # fmt: skip
 
 CONFIG = """
 name: tiny
