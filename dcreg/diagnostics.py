@@ -318,8 +318,12 @@ def loose_pairs(case: Case) -> str | None:
     problem, result = case.problem, case.result
     if _was_cut_short(result):
         return None
-    spacing, rmse = median_spacing(problem.target), case.lowest_rmse
-    if rmse <= _LOOSE * spacing or spacing == 0.0:
+    spacing = median_spacing(problem.target)
+    # that of the pairs is known and no lower: it often saves the search for nearest points
+    if spacing == 0.0 or result.rmse_matched <= _LOOSE * spacing:
+        return None
+    rmse = case.lowest_rmse
+    if rmse <= _LOOSE * spacing:
         return None
     if scale_at_limit(case) or other_size(case) or few_pairs(case):
         return None

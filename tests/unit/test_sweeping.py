@@ -113,9 +113,9 @@ def test_search_uses_the_gap_that_the_whole_run_needs(loose):
 def test_a_good_pose_reaches_all_cardinalities(clouds, separate, monkeypatch):
     start = Similarity2D.start
 
-    def only_for_18(space, budget, enough):
+    def only_for_18(space, budget, enough, known):
         if space.n_inliers == 18:
-            return start(space, budget, enough)
+            return start(space, budget, enough, known)
         return space.identity, space.objective(space.identity)[0], 1
 
     monkeypatch.setattr(Similarity2D, "start", only_for_18)
@@ -383,13 +383,13 @@ def test_a_pose_reaches_all_cardinalities_though_the_time_is_over(monkeypatch, t
     """One good initial pose is enough: no cardinality keeps a pose worse than its neighbour's."""
     start = Similarity2D.start
 
-    def first_well(space, budget, enough):
+    def first_well(space, budget, enough, known):
         if space.n_source != 24:  # in the warm-up
-            return start(space, budget, enough)
+            return start(space, budget, enough, known)
         if space.n_inliers == COUNTS[0]:
             clouds = space.source, space.clouds.target.T
             unlimited = Similarity2D(*clouds, space.n_inliers, space.scale_range)
-            return start(unlimited, Budget(), enough)
+            return start(unlimited, Budget(), enough, known)
         while not space.stop_flag[0]:  # until the end of all searches
             time.sleep(0.01)
         return space.identity, np.inf, 0
@@ -499,7 +499,7 @@ def test_a_sample_of_a_sweep_refuses_what_it_would_ignore(clouds):
 def test_descents_of_all_cardinalities_share_the_time(monkeypatch):
     begun = []
 
-    def until_its_end(space, budget, enough):
+    def until_its_end(space, budget, enough, known):
         if space.n_source == 24:  # not in the warm-up
             begun.append((space.n_inliers, budget.is_over))
             while not budget.is_over:

@@ -13,6 +13,7 @@ from baselines import registry
 from baselines.contract import Instance, Limits
 from baselines.hbsp.rotation import SemidefiniteRotationBound
 from dcreg.assignment.objective import objective
+from dcreg.driver import checks
 from dcreg.driver import modes as table
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.problem import InputError, Problem
@@ -90,7 +91,7 @@ def test_message_names_mode_and_bound(name, dim, bound):
     [("dcreg", 2), ("rpm_htb", 2), ("rpm_htb", 3), ("rpm_bp", 2), ("hbsp", 2), ("hbsp", 3)],
 )
 def test_clouds_too_large_for_a_cost_matrix_are_refused(name, dim, monkeypatch):
-    monkeypatch.setattr(table, "MAX_PAIRS", 60)
+    monkeypatch.setattr(checks, "MAX_PAIRS", 60)
     options = {} if name == "dcreg" else {"search": "ours"}
     with pytest.raises(InputError, match="8 x 8 pairs exceed 60"):
         registry.load(name, **options).solve(instance(dim), Limits(10.0))
