@@ -50,6 +50,7 @@ SIZES = [(9, 10, 6), (6, 10, 6), (10, 6, 6), (5, 5, 4)]  # n, m, k: also all poi
 
 
 @pytest.mark.parametrize("sizes", SIZES)
+@settings(max_examples=30)
 @given(SEEDS)
 def test_no_excluded_box_contains_an_optimum_below_the_cutoff(sizes, seed):
     """An end of a local search is stationary, except where its scale is clipped."""
@@ -66,6 +67,7 @@ def test_no_excluded_box_contains_an_optimum_below_the_cutoff(sizes, seed):
             assert not is_excluded(sides, centre, half, cutoff, work, levels)[0]
 
 
+@settings(max_examples=30)
 @given(SEEDS)
 def test_target_loss_is_not_below_that_of_any_subset(seed):
     """It is attained if all points are equal."""
@@ -120,7 +122,7 @@ def plain(kernel):
     return getattr(kernel, "py_func", kernel)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(SEEDS)
 def test_boxes_contain_the_optimum_and_confirm_the_search(seed):
     """The whole cutoff, by the cover, leads to the same minimum as boxes alone."""
