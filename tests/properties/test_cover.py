@@ -24,7 +24,7 @@ from dcreg.search import Boxes, Budget, Confined, Interrupted, Tolerance, minimi
 from dcreg.search.space_search import SHORT
 
 SEEDS = st.integers(0, 2**32 - 1)
-AFFORDED_S = 0.02  # nominal: a cover that takes longer mostly leaves too many regions in the end
+AFFORDED_S = 0.02  # nominal: only covers that are made quickly
 KINDS = ("cloud", "plane", "line", "lattice", "clusters")
 
 
