@@ -22,7 +22,6 @@ from reports.figures import printing
 from reports.figures.printing import INK
 from reports.tables import check_study
 
-HERE = Path(__file__).parent
 PLACES = {
     "centred": "boxes centred on the optimum",
     "holding": "boxes with the optimum off-centre",
@@ -238,11 +237,10 @@ def build(folder: Path) -> Path:
         | searches_rows(tables["searches"], "n_assignments"),
     ]  # fmt: skip
     page = folder / "index.html"
-    css = (HERE / "assets" / "report.css").read_text(encoding="utf-8")
     page.write_text(
         templating.environment()
         .get_template("bounds_study.html")
-        .render(css=css, figures=figures, tables=shown),
+        .render(figures=figures, tables=shown),
         encoding="utf-8",
     )
     return page

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from dcreg.plot import packing
 from dcreg.search import Boxes, Recorder, recording
 from dcreg.search.recording import Recording
 from reports import templating, theme
@@ -16,7 +15,6 @@ from reports.page import pack_json
 from reports.tables import ReportError
 from workflows.replay import Repetition
 
-HERE = Path(__file__).parent
 MOST_DRAWN = 20_000  # boxes of a slice; if there are more, the first ones
 ENDS = 400  # rounds whose bounds the page states
 # Names of parameters, by their number: similarities in 2D, translations, rigid poses, rotations.
@@ -65,10 +63,8 @@ def _render(run_id: str, result: dict[str, Any], recorder: Recorder, model: str)
             result=result,
             stages=stages,
             is_complete=recorder.is_complete,
-            css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
             variables=theme.css_variables([]),
-            script=packing.UNPACK.read_text(encoding="utf-8")
-            + (HERE / "assets" / "boxes.js").read_text(encoding="utf-8"),
+            script=templating.script("boxes.js"),
             data=pack_json(stages),
         )
     )

@@ -8,18 +8,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from dcreg.plot import packing
 from reports import sections, templating, theme
 from reports.page import Page, write_data
 from reports.tables import Tables
 from workflows.discovery import modules
 
-HERE = Path(__file__).parent
 HISTORY = Path("history", "index.html")  # of all versions, in the folder of all results
 WHOLE = "whole.html"  # the same page in one file, to be sent or to be part of another report
 # The first one is needed by the others.
 SCRIPTS = ("report.js", "versus.js", "runs.js", "cards.js", "run.js")
-STYLES = ("report.css", "runs.css")
 
 
 def build(tables_dir: Path, out: Path) -> None:
@@ -86,11 +83,6 @@ def _renderer(page: Page, parts: list[tuple[Any, dict[str, Any]]]) -> Callable[.
     return functools.partial(
         environment.get_template("page.html").render,
         sections=bodies,
-        css="\n".join(map(_asset, STYLES)),
         variables=theme.css_variables(page.styles.values()),
-        script="\n".join([packing.UNPACK.read_text(encoding="utf-8"), *map(_asset, SCRIPTS)]),
+        script=templating.script(*SCRIPTS),
     )
-
-
-def _asset(name: str) -> str:
-    return (HERE / "assets" / name).read_text(encoding="utf-8")

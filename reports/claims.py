@@ -19,7 +19,6 @@ from reports.ledger.evidence import STUDY, Evidence
 from reports.ledger.judging import Judgement, as_table, comparisons, count, judge
 from reports.tables import ReportError
 
-HERE = Path(__file__).parent
 PAGE = "claims.html"
 
 
@@ -39,7 +38,6 @@ def write(book: Ledger, judgements: list[Judgement], evidence: Evidence, out: Pa
         .get_template(PAGE)
         .render(
             kinds=UNJUDGED,
-            css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
             judgements=judgements,
             counts=count(judgements),
             facts=book.facts,

@@ -22,8 +22,6 @@ from workflows import UserError
 from workflows.discovery import modules
 from workflows.outcomes import attempted
 
-HERE = Path(__file__).parent
-
 
 @dataclass(frozen=True)
 class Entry:
@@ -80,7 +78,7 @@ def build(
     page = out / (f"{names[0]}.html" if len(names) == 1 else "index.html")
     page.parent.mkdir(parents=True, exist_ok=True)
     html = templating.environment().get_template("figures.html").render(
-        css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"), entries=entries
+        entries=entries
     )  # fmt: skip
     page.write_text(html, encoding="utf-8")
     return page

@@ -11,8 +11,6 @@ from reports.archive import clouds, read
 from reports.build import build as build_report
 from reports.history import page as history_page
 
-HERE = Path(__file__).parents[1]
-
 
 def build(archive: str, out: Path, sha256: str = "") -> Path:
     """Write all pages of an archive to the folder `out`; return the path of their index.
@@ -48,7 +46,6 @@ def _index(folder: Path, out: Path) -> Path:
         .render(
             facts=facts,
             clouds=clouds.sentences(facts),
-            css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
         ),
         encoding="utf-8",
     )

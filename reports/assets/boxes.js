@@ -1,43 +1,34 @@
 "use strict";
-// Slices through the boxes of a search. Boxes are drawn in the order in which they were bounded, so that
+// Slices through the boxes of a search; common.js stands before it. Boxes are drawn in the order in which they were bounded, so that
 // children cover their parents.
 
-const part = (id) => document.getElementById(id);
-const canvas = part("boxes");
-const short = (value) => (value === null ? "–" : String(Number(value.toPrecision(4))));
+const canvas = $("#boxes");
 let stages = [];
 
 // from far below the upper bound (blue) to near it (yellow)
 const shade = (share) => `hsl(${230 - 175 * share} 75% ${42 + 26 * share}%)`;
-const ink = (name) => {
-  const probe = document.body.appendChild(document.createElement("i"));
-  probe.style.color = `var(${name})`;
-  const found = getComputedStyle(probe).color;
-  probe.remove();
-  return found;
-};
 
-const stage = () => stages[Number(part("stage").value)];
-const slice = () => stage().slices[Number(part("slice").value)];
+const stage = () => stages[Number($("#stage").value)];
+const slice = () => stage().slices[Number($("#slice").value)];
 
 function openStage() {
   const { slices, count } = stage();
-  part("slice").replaceChildren(...slices.map(({ axes }, at) => new Option(axes.join(" and "), at)));
-  Object.assign(part("progress"), { max: count, value: count });
+  $("#slice").replaceChildren(...slices.map(({ axes }, at) => new Option(axes.join(" and "), at)));
+  Object.assign($("#progress"), { max: count, value: count });
   draw();
 }
 
 function draw() {
-  const { upper, ends, count } = stage(), chosen = slice(), now = Number(part("progress").value);
+  const { upper, ends, count } = stage(), chosen = slice(), now = Number($("#progress").value);
   const end = ends.findLast(([after]) => after <= now) ?? [0, 0, null];
-  part("told").textContent = `${now} of ${count} boxes bounded: lower bound ${short(end[1])}, upper bound ${short(end[2])}`;
+  $("#told").textContent = `${now} of ${count} boxes bounded: lower bound ${short(end[1])}, upper bound ${short(end[2])}`;
   const size = canvas.clientWidth * devicePixelRatio;
   canvas.width = canvas.height = size;
   const pen = canvas.getContext("2d");
   if (!chosen) { pen.fillText("This stage has no slice that can be drawn.", 20, 20); return; }
   const [left, right, low, high] = chosen.boxes;
   const spans = [[Math.min(...left.slice(0, 64)), Math.max(...right.slice(0, 64))], [Math.min(...low.slice(0, 64)), Math.max(...high.slice(0, 64))]];
-  const zoom = 10 ** Number(part("zoom").value);
+  const zoom = 10 ** Number($("#zoom").value);
   for (const [axis, span] of spans.entries()) {
     const half = (span[1] - span[0]) / (2 * zoom), centre = zoom === 1 ? (span[0] + span[1]) / 2 : chosen.at[axis];
     spans[axis] = [centre - half, centre + half];
@@ -45,7 +36,7 @@ function draw() {
   const edge = 34 * devicePixelRatio, room = size - 2 * edge;
   const x = (value) => edge + (room * (value - spans[0][0])) / (spans[0][1] - spans[0][0]);
   const y = (value) => size - edge - (room * (value - spans[1][0])) / (spans[1][1] - spans[1][0]);
-  const pruned = ink("--not_needed"), outside = ink("--line"), line = ink("--surface"), text = ink("--text");
+  const pruned = color("--not_needed"), outside = color("--line"), line = color("--surface"), text = color("--text");
   pen.lineWidth = 0.5 * devicePixelRatio;
   pen.strokeStyle = line;
   pen.save();
@@ -81,10 +72,10 @@ function draw() {
 // As many steps for a long search as for a short one; early boxes are large, so the pace rises.
 let timer = null;
 function play() {
-  const progress = part("progress");
-  if (timer) { clearInterval(timer); timer = null; part("play").textContent = "play"; return; }
+  const progress = $("#progress");
+  if (timer) { clearInterval(timer); timer = null; $("#play").textContent = "play"; return; }
   if (progress.value === progress.max) progress.value = 1;
-  part("play").textContent = "pause";
+  $("#play").textContent = "pause";
   timer = setInterval(() => {
     progress.value = Math.max(Number(progress.value) + 1, Math.ceil(Number(progress.value) * 1.06));
     draw();
@@ -93,14 +84,14 @@ function play() {
 }
 
 const drawn = (async () => {
-  stages = await unpacked(part("data").textContent).json();
-  part("scale").style.background = `linear-gradient(to right, ${[0, 0.25, 0.5, 0.75, 1].map(shade).join(", ")})`;
-  part("stage").addEventListener("change", openStage);
-  for (const id of ["slice", "progress", "zoom"]) part(id).addEventListener("input", draw);
-  part("play").addEventListener("click", play);
+  stages = await unpacked($("#data").textContent).json();
+  $("#scale").style.background = `linear-gradient(to right, ${[0, 0.25, 0.5, 0.75, 1].map(shade).join(", ")})`;
+  $("#stage").addEventListener("change", openStage);
+  for (const id of ["slice", "progress", "zoom"]) $(`#${id}`).addEventListener("input", draw);
+  $("#play").addEventListener("click", play);
   addEventListener("resize", draw);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+  document.addEventListener("repaint", draw);
   // the stage with most boxes
-  part("stage").value = String(stages.reduce((best, { count }, at) => (count > stages[best].count ? at : best), 0));
+  $("#stage").value = String(stages.reduce((best, { count }, at) => (count > stages[best].count ? at : best), 0));
   openStage();
 })();

@@ -27,7 +27,7 @@ function cardOf(data, { at, head = [] }) {
     title.append(...head);
     card.append(title);
   }
-  const link = Object.assign(document.createElement("a"), { className: "view", href: `#run=${run}` });
+  const link = make("a", "", { className: "view", href: `#run=${run}` });
   for (const when of ["before", "after"]) {
     const canvas = document.createElement("canvas"), holder = document.createElement("span");
     Object.assign(canvas.dataset, { run, when });
@@ -75,7 +75,7 @@ async function overlaidRuns(data) {
 }
 
 function headOf(data, { at, rank }) {
-  const badge = Object.assign(document.createElement("span"), { className: `rank ${rank}`, textContent: rank });
+  const badge = make("span", rank, { className: `rank ${rank}` });
   return [dotOf(data.word("method", at)), data.names[data.values.method[at]], badge];
 }
 

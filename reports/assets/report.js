@@ -1,11 +1,8 @@
 "use strict";
-// Everything a page does: unpack data, draw figures when they come into view, toggles, tables,
-// overlays, downloads. No request leaves the page.
+// What the report does: unpack data, draw figures when they come into view, toggles, overlays,
+// downloads. No request leaves the page. common.js stands before it.
 
-const $ = (selector, root = document) => root.querySelector(selector);
-const $$ = (selector, root = document) => [...root.querySelectorAll(selector)];
 const NARROW_PX = 640;
-const hidden = new Set(); // methods switched off
 
 // ---- data next to the page -----------------------------------------------------------------------
 
@@ -45,14 +42,6 @@ const plotly = () => once("plotly", async () => loadPlotly(await stored("plotly"
 
 // ---- colours -----------------------------------------------------------------------------------
 
-// Custom properties hold light-dark(...); only a used value tells which side applies.
-const probe = document.body.appendChild(document.createElement("i"));
-probe.hidden = true;
-function color(variable, alpha = 1) {
-  probe.style.color = `var(${variable})`;
-  const [r, g, b] = getComputedStyle(probe).color.match(/[\d.]+/g);
-  return `rgba(${r}, ${g}, ${b}, ${alpha})`;
-}
 const variableOf = new Map(
   $$("[data-toggle-method]").map((chip) => [
     chip.dataset.toggleMethod,
@@ -281,24 +270,19 @@ function runTraces(run, stage, work) {
 }
 
 function tellRuns(instance, stage) {
-  const text = (tag, content) => Object.assign(document.createElement(tag), { textContent: content });
   const head = document.createElement("tr");
-  head.append(...["method", "status of the run", "scope of the bounds", "lower bound", "upper bound", "gap", "tolerance", "nodes", "run"].map((title) => text("th", title)));
-  const linked = (run) => {
-    const cell = document.createElement("td");
-    cell.append(Object.assign(document.createElement("a"), { href: `#run=${run}`, textContent: run }));
-    return cell;
-  };
+  head.append(...["method", "status of the run", "scope of the bounds", "lower bound", "upper bound", "gap", "tolerance", "nodes", "run"].map((title) => make("th", title)));
   const rows = instance.runs.filter((run) => run.stages[stage]).map((run) => {
     const { lower, upper, nodes } = run.stages[stage];
     const [low, high] = [lower.at(-1), upper.at(-1)];
     const row = document.createElement("tr");
     row.dataset.method = run.method;
     row.hidden = hidden.has(run.method);
-    const name = text("th", nameOf(run.method));
-    name.prepend($(`[data-toggle-method="${CSS.escape(run.method)}"] .dot`).cloneNode(true));
-    row.append(name, text("td", run.status), text("td", run.scope || "–"),
-      ...[low, high, high - low, run.gap_tol, nodes.at(-1)].map((value) => text("td", short(value))), linked(run.run));
+    const name = make("th", nameOf(run.method));
+    name.prepend(dotOf(run.method));
+    row.append(name, make("td", run.status), make("td", run.scope || "–"),
+      ...[low, high, high - low, run.gap_tol, nodes.at(-1)].map((value) => make("td", short(value))), make("td"));
+    row.lastChild.append(linkTo(run.run));
     return row;
   });
   const table = document.createElement("table");
@@ -307,7 +291,6 @@ function tellRuns(instance, stage) {
   table.tBodies[0].append(...rows);
   $("#bounds-runs").replaceChildren(table);
 }
-const short = (value) => (value === null || value === undefined || Number.isNaN(value) ? "–" : String(Number(value.toPrecision(4))));
 
 async function step(by) {
   const data = await payload("bounds");
@@ -319,12 +302,6 @@ $$("[data-step]").forEach((button) => button.addEventListener("click", () => ste
 
 // ---- overlays ----------------------------------------------------------------------------------
 
-// A 3D cloud is seen along a fixed oblique direction; the large view turns.
-const flatten = (points) => (points[0]?.length === 3
-  ? points.map(([x, y, z]) => [0.866 * x - 0.5 * y, 0.3 * x + 0.52 * y + 0.8 * z]) : points);
-const move = (points, T) => points.map((p) =>
-  p.map((_, i) => p.reduce((sum, value, j) => sum + T[i][j] * value, T[i][p.length])));
-
 async function drawThumbnail(canvas) {
   const found = await recordOf(canvas.dataset.run).catch(tellMissing);
   if (!found?.clouds) {
@@ -332,31 +309,8 @@ async function drawThumbnail(canvas) {
     return;
   }
   const { clouds, record } = found;
-  const source = flatten(canvas.dataset.when === "before" ? clouds.source : record.pose ? move(clouds.source, record.pose) : []);
-  const target = flatten(clouds.target);
-  const size = canvas.clientWidth * devicePixelRatio;
-  canvas.width = canvas.height = size;
-  const pen = canvas.getContext("2d");
-  const all = [...source, ...target];
-  const spans = [0, 1].map((axis) => {
-    const values = all.map((p) => p[axis]);
-    return [Math.min(...values), Math.max(...values)];
-  });
-  const extent = Math.max(...spans.map(([low, high]) => high - low)) || 1;
-  const place = (p) => p.map((value, axis) => {
-    const centred = (value - (spans[axis][0] + spans[axis][1]) / 2) / extent;
-    return size * (0.5 + 0.9 * (axis ? -centred : centred));
-  });
-  const r = 1.7 * devicePixelRatio;
-  pen.lineWidth = devicePixelRatio;
-  pen.strokeStyle = color("--target");
-  pen.beginPath();
-  for (const [x, y] of target.map(place)) {
-    pen.moveTo(x - r, y); pen.lineTo(x + r, y); pen.moveTo(x, y - r); pen.lineTo(x, y + r);
-  }
-  pen.stroke();
-  pen.strokeStyle = color("--source");
-  for (const [x, y] of source.map(place)) { pen.beginPath(); pen.arc(x, y, r, 0, 7); pen.stroke(); }
+  const source = canvas.dataset.when === "before" ? clouds.source : record.pose ? move(clouds.source, record.pose) : [];
+  drawClouds(canvas, flatten(source), flatten(clouds.target), 1.7);
   canvas.dataset.drawn = "1";
 }
 
@@ -388,89 +342,13 @@ $$("[data-all-methods]").forEach((button) => button.addEventListener("click", ()
   showMethods();
 }));
 
-const dark = matchMedia("(prefers-color-scheme: dark)");
-const root = document.documentElement;
-const repaint = () => {
+document.addEventListener("repaint", () => {
   redraw();
   $$("canvas[data-drawn]").forEach(drawThumbnail);
-  document.dispatchEvent(new Event("repaint"));
-};
-$("#theme").addEventListener("click", () => {
-  const now = root.dataset.theme ?? (dark.matches ? "dark" : "light");
-  root.dataset.theme = now === "dark" ? "light" : "dark";
-  repaint();
 });
-dark.addEventListener("change", repaint);
 
-// ---- tables and cards --------------------------------------------------------------------------
+// ---- tables and closed parts -------------------------------------------------------------------
 
-// The whole query is one line of text plus exact choices; a hidden method hides its rows.
-function filter(bar) {
-  const list = document.getElementById(bar.dataset.filters);
-  const items = list.tBodies ? [...list.tBodies[0].rows] : [...list.children];
-  const words = ($("[data-filter-text]", bar)?.value ?? "").toLowerCase().split(/\s+/).filter(Boolean);
-  const exact = $$("[data-filter]", bar).filter((select) => select.value);
-  let count = 0;
-  for (const item of items) {
-    const text = item.textContent.toLowerCase();
-    item.hidden = hidden.has(item.dataset.method)
-      || exact.some((select) => item.dataset[select.dataset.filter] !== select.value)
-      || words.some((word) => !text.includes(word));
-    count += !item.hidden;
-  }
-  $("[data-count]", bar).textContent = `${count} of ${items.length}`;
-}
-const sortValue = (cell) => {
-  const raw = cell.dataset.sort ?? cell.textContent.trim();
-  const asNumber = Number(raw);
-  return raw === "" ? null : Number.isNaN(asNumber) ? raw.toLowerCase() : asNumber;
-};
-
-function sort(table, column, descending) {
-  const rows = [...table.tBodies[0].rows].map((row) => [sortValue(row.cells[column]), row]);
-  rows.sort(([a], [b]) => {
-    if (a === null || b === null) return (a === null) - (b === null); // missing last, either way
-    const order = typeof a === "number" && typeof b === "number" ? a - b : String(a).localeCompare(String(b));
-    return descending ? -order : order;
-  });
-  table.tBodies[0].append(...rows.map(([, row]) => row));
-}
-
-function makeSortable(table) {
-  const heads = [...table.tHead.rows[0].cells];
-  heads.forEach((head, column) => {
-    if ("fixed" in head.dataset) return;
-    const button = document.createElement("button");
-    button.type = "button";
-    button.append(...head.childNodes);
-    head.append(button);
-    button.addEventListener("click", () => {
-      const descending = head.getAttribute("aria-sort") === "ascending";
-      heads.forEach((other) => other.removeAttribute("aria-sort"));
-      head.setAttribute("aria-sort", descending ? "descending" : "ascending");
-      sort(table, column, descending);
-    });
-  });
-}
-
-// On a narrow screen a row is a card: each cell says what it is.
-function titleCells(table) {
-  const titles = [...table.tHead.rows[0].cells].map((head) => ("alone" in head.dataset ? "" : head.textContent));
-  for (const row of [...table.tBodies[0].rows, ...(table.tFoot?.rows ?? [])]) {
-    [...row.cells].forEach((cell, i) => { if (titles[i] && cell.tagName === "TD" && cell.textContent.trim()) cell.dataset.title = titles[i]; });
-  }
-}
-
-// Makes the tables of the page, or of a part of it, work.
-function enliven(part) {
-  $$("[data-filters]", part).forEach((bar) => {
-    bar.addEventListener("input", () => filter(bar));
-    filter(bar);
-  });
-  $$("table.sortable", part).forEach(makeSortable);
-  $$("table.stack", part).forEach(titleCells);
-  for (const item of $$("[data-method]", part)) item.hidden = hidden.has(item.dataset.method);
-}
 enliven($("main"));
 
 // A closed part gets its content when it is opened for the first time.
@@ -493,7 +371,7 @@ const contentOf = async (name) => unpacked(await stored(`file-${name}`)).arrayBu
 $$("[data-save]").forEach((button) => button.addEventListener("click", async () => {
   const name = button.dataset.save;
   const blob = new Blob([await contentOf(name)], { type: MIME[name.split(".").pop()] });
-  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(blob), download: name });
+  const link = make("a", "", { href: URL.createObjectURL(blob), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }));

@@ -56,11 +56,8 @@ function tellRun({ data, at, run, record }) {
     ["time (s)", values.time[at]], ["nodes", values.nodes[at]], ["assignments", record.n_assignments],
     ["n_inliers given", record.n_inliers], ["true pairs", record.n_inliers_true], ["points of source and target", `${record.n_source}, ${record.n_target}`], ["noise bound given", record.noise_bound],
   ];
-  $("#run-facts").replaceChildren(...facts.filter(([, value]) => value !== undefined && value !== null && value !== "").map(([name, value]) => {
-    const row = document.createElement("div");
-    row.append(Object.assign(document.createElement("dt"), { textContent: name }), Object.assign(document.createElement("dd"), { textContent: typeof value === "number" ? short(value) : value }));
-    return row;
-  }));
+  const known = facts.filter(([, value]) => value !== undefined && value !== null && value !== "");
+  $("#run-facts").replaceChildren(...factRows(known.map(([name, value]) => [name, typeof value === "number" ? short(value) : value])));
   $("#run-replay").textContent = `${data.replay}${run}`;
   const stages = Object.keys(record.stages);
   $("#run-boxes-text").hidden = !stages.length;

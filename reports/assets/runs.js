@@ -91,16 +91,16 @@ function rowOf(data, at) {
   return row;
 }
 
-const linkTo = (run) => Object.assign(document.createElement("a"), { href: `#run=${run}`, textContent: run });
+const linkTo = (run, text = run) => make("a", text, { href: `#run=${run}` });
 const dot = (method) => once(`dot ${method}`, () => $(`[data-toggle-method="${CSS.escape(method)}"] .dot`));
 const dotOf = (method) => dot(method).cloneNode(true);
-const badgeOf = (answer) => Object.assign(document.createElement("span"), { className: `answer-${answer.replaceAll(" ", "-")}`, textContent: answer });
+const badgeOf = (answer) => make("span", answer, { className: `answer-${answer.replaceAll(" ", "-")}` });
 
 async function headRuns() {
   const data = await runsTable();
   const heads = shownColumns(data).map((name) => {
-    const head = Object.assign(document.createElement("th"), { scope: "col", className: COLUMNS[name][1] ? "n" : "" });
-    const button = Object.assign(document.createElement("button"), { type: "button", textContent: COLUMNS[name][0] });
+    const head = make("th", "", { scope: "col", className: COLUMNS[name][1] ? "n" : "" });
+    const button = make("button", COLUMNS[name][0], { type: "button" });
     button.addEventListener("click", () => sortRuns(name));
     head.dataset.column = name;
     head.append(button);

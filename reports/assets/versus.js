@@ -57,7 +57,7 @@ function scatter({ both, labels, runs: [a, b] }, name, axis) {
 
 const symbolOf = (method) => $(`[data-toggle-method="${CSS.escape(method)}"]`).dataset.symbol;
 const percentOf = (p) => (p < 1e-4 ? "< 0.0001" : String(Number(p.toPrecision(2))));
-const cellOf = (tag, content, className = "") => Object.assign(document.createElement(tag), { textContent: content, className });
+const cellOf = (tag, content, className = "") => make(tag, content, { className });
 
 function countTable({ both, places: [a, b] }) {
   const titles = { right: "right pose", rmse: "lower RMSE", time: "less time, both right" };
@@ -95,7 +95,7 @@ function listDiffering({ both, runs: [a, b] }) {
     const row = document.createElement("tr"), { test, shape, level, trial } = both.instances;
     const links = document.createElement("td");
     [["A", a], ["B", b]].forEach(([side, runs]) => {
-      links.append(Object.assign(document.createElement("a"), { href: `#run=${runs.run[i]}`, textContent: `${side}: ${runs.run[i]}` }), " ");
+      links.append(linkTo(runs.run[i], `${side}: ${runs.run[i]}`), " ");
     });
     row.append(cellOf("th", test[i].replaceAll("_", " ")), cellOf("td", shape[i]), cellOf("td", level[i], "n"), cellOf("td", trial[i], "n"),
       cellOf("td", a.right[i] ? "A" : "B"), cellOf("td", short(a.rmse[i]), "n"), cellOf("td", short(b.rmse[i]), "n"), links);

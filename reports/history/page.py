@@ -14,7 +14,6 @@ from reports import templating, theme
 from reports.history.steps import History, Line, Point, load
 from workflows.recording import HISTORY
 
-HERE = Path(__file__).parents[1]
 PLANTED = HISTORY / "planted.csv"
 WIDTH, HEIGHT, EDGE = 300.0, 84.0, 10.0  # of a drawing
 TONES = {"worse": "bad", "slower": "bad", "better": "good", "faster": "good", "changed": "warn"}
@@ -41,7 +40,6 @@ def build(out: Path, history: Path = HISTORY, planted: Path = PLANTED) -> Path:
     page = out / "index.html"
     out.mkdir(parents=True, exist_ok=True)
     text = environment.get_template("history.html").render(
-        css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
         histories=histories,
         names={each.experiment: _names(each) for each in histories},
         draw=draw,

@@ -10,13 +10,10 @@ from typing import Any
 from data.library.problem import Problem, all_problems
 from data.library.record import BoundEntry, PoseEntry, Record, read_record
 from dcreg import __version__
-from dcreg.plot import packing
-from reports import templating
+from reports import templating, theme
 from reports.library import difficulty, drawing
 from reports.page import pack_json
 
-HERE = Path(__file__).parents[1]
-SCRIPTS = (packing.UNPACK, HERE / "assets" / "library.js")
 WORDS = {
     "easy": "proven by default options within 60 s of CPU time",
     "hard": "proven with other options, in more time or by all matchings",
@@ -67,8 +64,8 @@ def build(out: Path) -> Path:
     )
     table.to_csv(out / "difficulty.csv", index=False)
     html = templating.environment().get_template("library.html").render(
-        css=(HERE / "assets" / "report.css").read_text(encoding="utf-8"),
-        script="\n".join(path.read_text(encoding="utf-8") for path in SCRIPTS),
+        variables=theme.css_variables([]),
+        script=templating.script("library.js"),
         rows=rows,
         counts=Counter(row.status for row in rows),
         proven_3d=sum(row.status != "open" and row.problem.dim == 3 for row in rows),

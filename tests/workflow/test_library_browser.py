@@ -19,7 +19,7 @@ def page(browser, path):
     """The page freshly opened, wide and light; afterwards no error and no request was made."""
     view(browser, 1400, "light")
     open_page(browser, path)
-    wait(browser, "document.querySelector('#count').textContent")
+    wait(browser, "document.querySelector('[data-count]').textContent")
     yield browser
     assert errors(browser) == []
     assert {url.partition("#")[0] for url in requests(browser)} <= {path.as_uri()}
@@ -42,10 +42,10 @@ def choose(page, field, value):
 
 def test_filters_and_sorting_change_the_table(page):
     assert shown(page) == list(all_problems())
-    choose(page, "#f-model", "rigid3d")
-    choose(page, "#f-status", "open")
-    choose(page, "#f-points", "60")
-    choose(page, "#f-overlap", "0.7")
+    choose(page, "[data-filter=model]", "rigid3d")
+    choose(page, "[data-filter=status]", "open")
+    choose(page, "[data-least=points]", "60")
+    choose(page, "[data-most=overlap]", "0.7")
     some = shown(page)
     assert 0 < len(some) < len(all_problems())
     assert all(all_problems()[name].dim == 3 for name in some)
@@ -57,7 +57,7 @@ def test_filters_and_sorting_change_the_table(page):
 @pytest.mark.parametrize(("width", "scheme"), [(1400, "light"), (420, "dark")])
 def test_a_problem_has_a_view_that_fits(page, width, scheme):
     view(page, width, scheme)
-    choose(page, "#f-text", "pony-60-noise-03")
+    choose(page, "[data-filter-text]", "pony-60-noise-03")
     assert barriers(page) == []
     page.find_element("link text", "pony-60-noise-03@1").click()
     wait(page, "document.querySelector('#one canvas')")
