@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from reports.runs.listed import answers
 from reports.tables import Tables, is_right
 from reports.theme import proven
 from workflows.outcomes import attempted
@@ -12,6 +13,7 @@ OWN_TEST = "pair"  # the only test of a dataset of own pairs
 SHOWN = [
     "run_id", "model", "shape", "method", "outcome", "status", "message", "success", "rmse",
     "rotation_error_deg", "translation_error", "time_solve_s", "bound_ratio", "certificate_scope",
+    "T_target_source",
 ]  # fmt: skip
 
 
@@ -25,17 +27,11 @@ def pair_rows(tables: Tables) -> list[dict[str, Any]]:
     if not is_own_data(tables):
         return []
     runs = attempted(tables.runs[SHOWN])
-    runs = runs.assign(right=is_right(runs)).sort_values(
+    runs = runs.assign(right=is_right(runs), verdict=answers(runs)).sort_values(
         ["model", "shape", "right", "rmse"], ascending=[True, True, False, True], kind="stable"
     )
     rows = [{str(name): value for name, value in run.items()} for run in runs.to_dict("records")]
-    return [{**row, "verdict": _verdict(row), "certificate": _certificate(row)} for row in rows]
-
-
-def _verdict(run: dict[str, Any]) -> str:
-    if run["outcome"] == "failed":
-        return "no pose"
-    return "right" if run["right"] else "wrong"
+    return [{**row, "certificate": _certificate(row)} for row in rows]
 
 
 def _certificate(run: dict[str, Any]) -> str:

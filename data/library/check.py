@@ -13,11 +13,11 @@ from data.library.evaluate import admissible, evaluate
 from data.library.matchings import best_of_all_matchings
 from data.library.problem import (
     CHECKSUMS,
-    PROBLEMS,
     LibraryError,
     Problem,
     changed_files,
     checksums,
+    problem_path,
     read_problem,
 )
 from data.library.record import LAST_DIGITS, PROOFS, Enumeration, Record, read_record
@@ -63,7 +63,7 @@ def check(say: Say, *, every_proof: bool = False) -> Checked:
     sample = set(sampled_proofs(found)) if not every_proof else set(found)
     for problem_id in found:
         try:
-            problem = read_problem(PROBLEMS / f"{problem_id}.json")
+            problem = read_problem(problem_path(problem_id))
             record = read_record(problem_id)
             _ = problem.clouds
         except LibraryError as error:

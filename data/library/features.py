@@ -47,12 +47,11 @@ def features_of(problem: Problem, record: Record) -> Features:
     """Return the features of a problem with a known pose."""
     source, target = problem.clouds
     sizes = len(source), len(target)
-    n_pairs = problem.n_inliers if problem.truth is None else len(problem.truth.pairs)
     rms = np.sqrt(record.objective / problem.n_inliers)
     return Features(
         n_points=float(np.sqrt(sizes[0] * sizes[1])),
         pair_share=problem.n_inliers / min(sizes),
-        overlap=n_pairs / max(sizes),
+        overlap=problem.overlap,
         residual=float(rms / median_spacing(target)),
         asymmetry=asymmetry(source),
     )

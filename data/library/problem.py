@@ -91,6 +91,12 @@ class Problem(BaseModel):
     def dim(self) -> int:
         return 2 if self.model == "similarity2d" else 3
 
+    @property
+    def overlap(self) -> float:
+        """True pairs, or `n_inliers` if they are unknown, as a share of the larger cloud."""
+        n_pairs = self.n_inliers if self.truth is None else len(self.truth.pairs)
+        return n_pairs / max(self.n_source, self.n_target)
+
     @cached_property
     def clouds(self) -> tuple[np.ndarray, np.ndarray]:
         """Source and target; the points of a recipe are fetched and compared with the checksums.

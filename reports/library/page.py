@@ -32,7 +32,6 @@ class Row:
     problem: Problem
     record: Record
     status: str
-    overlap: float
     thumbnail: str
     proven_by: str
 
@@ -82,11 +81,9 @@ def build(out: Path) -> Path:
 
 
 def _row(problem: Problem, record: Record) -> Row:
-    n_pairs = problem.n_inliers if problem.truth is None else len(problem.truth.pairs)
     bound = record.best_bound
     return Row(
-        problem, record, record.status(problem),
-        n_pairs / max(problem.n_source, problem.n_target), drawing.thumbnail(problem, record),
+        problem, record, record.status(problem), drawing.thumbnail(problem, record),
         "" if bound is None else bound.by,
     )  # fmt: skip
 
@@ -97,7 +94,7 @@ def _details(row: Row) -> dict[str, Any]:
     best = record.best_pose
     details = {
         "title": problem.title, "origin": problem.origin, "licence": problem.licence,
-        "unit": problem.unit, "scale_range": problem.scale_range, "family": problem.family,
+        "unit": problem.unit, "scale_range": problem.scale_range,
         "facts": _facts(row), "history": _history(record),
         "cite": BIBTEX.format(
             key=problem.name, id=problem.id, dcreg=__version__, origin=problem.origin

@@ -55,10 +55,10 @@ def prove(
     limit: Limit = 60.0,
 ) -> None:
     """Make the proof of a problem again."""
-    from workflows.library.choose import chosen
+    from data.library.problem import find_problem
     from workflows.library.solve import prove as make_proof
 
-    print(make_proof(chosen([name])[0], out, limit))
+    print(make_proof(find_problem(name), out, limit))
 
 
 @app.command()

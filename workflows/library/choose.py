@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from data.library.problem import LibraryError, Problem, all_problems
-from dcreg.problem import suggestion
+from data.library.problem import Problem, all_problems, find_problem
 
 
 def chosen(names: Sequence[str] | None) -> list[Problem]:
@@ -23,7 +22,5 @@ def chosen(names: Sequence[str] | None) -> list[Problem]:
     for name in names:
         exact = [key for key in known if name in (key, key.partition("@")[0])]
         fitting = exact or [key for key in known if key.startswith(name)]
-        if not fitting:
-            raise LibraryError(f"no problem {name!r}{suggestion(name, known)}")
-        found |= {key: known[key] for key in fitting}
+        found |= {key: known[key] for key in fitting} or {name: find_problem(name)}
     return list(found.values())

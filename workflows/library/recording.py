@@ -38,6 +38,10 @@ class Author(TypedDict):
     how: str
 
 
+HOW = {
+    "default": "dcreg.register",
+    "proof": "dcreg.register with a certificate",
+}  # by kind of answer
 BETTER = 1e-7  # relative; smaller improvements are rounding
 
 
@@ -50,25 +54,26 @@ def record_answers(
     """Add what is new to the records; yield a line for each record that changed."""
     for problem in problems:
         old = read_record(problem.id, records)
-        new = _with_poses(problem, old, answers)
-        for kind in ("default", "proof"):
-            answer = read_answer(answers / f"{problem.id}.{kind}.json")
-            if answer is not None:
-                new = _with_solve(new, answer)
-                new = _with_bound(problem, new, answer, answers, proofs)
+        given = {
+            how: read_answer(answers / f"{problem.id}.{kind}.json") for kind, how in HOW.items()
+        }
+        found = {how: answer for how, answer in given.items() if answer is not None}
+        new = _with_poses(problem, old, found)
+        for answer in found.values():
+            new = _with_solve(new, answer)
+            new = _with_bound(problem, new, answer, answers, proofs)
         new = _with_optima(problem, new)
         if new is not old:
             write_record(new, records)
             yield f"{problem.id}: {new.status(problem)}, gap {new.gap:.2%}"
 
 
-def _with_poses(problem: Problem, record: Record, answers: Path) -> Record:
+def _with_poses(problem: Problem, record: Record, answers: dict[str, Answer]) -> Record:
     """Add the best of the poses found, and of the local search from the true pose."""
-    found = []
-    for kind in ("default", "proof"):
-        if answer := read_answer(answers / f"{problem.id}.{kind}.json"):
-            how = "dcreg.register" if kind == "default" else "dcreg.register with a certificate"
-            found.append((np.array(answer.pose), how, answer.date, f"dcreg {answer.version}"))
+    found = [
+        (np.array(answer.pose), how, answer.date, f"dcreg {answer.version}")
+        for how, answer in answers.items()
+    ]
     if not found:
         return record
     *_, date, by = found[0]
