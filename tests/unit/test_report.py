@@ -470,10 +470,14 @@ def test_two_methods_are_compared_on_the_instances_that_both_attempted(tables):
 
 
 def test_own_pairs_have_a_row_per_method_the_best_first(tables):
-    own = dataclasses.replace(tables, runs=tables.runs.assign(test="pair"))
+    runs = tables.runs.assign(test="pair")
+    stopped = runs.index[runs["outcome"] == "limited"][0]  # at its limit, before it had a pose
+    runs.loc[stopped, ["T_target_source", "rmse", "success"]] = ["", np.nan, False]
+    own = dataclasses.replace(tables, runs=runs)
     rows = pair_rows(own)
     assert len(rows) == len(attempted(tables.runs))
     assert {row["verdict"] for row in rows} == {"right", "wrong", "no pose"}
+    assert all((row["verdict"] == "no pose") == np.isnan(row["rmse"]) for row in rows)
     assert {row["certificate"] for row in rows} >= {"", "optimal: similarity pose"}
     for _, pair in itertools.groupby(rows, lambda row: (row["model"], row["shape"])):
         ranked = [(row["verdict"] != "right", row["rmse"]) for row in pair]
