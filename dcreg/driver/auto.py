@@ -86,7 +86,7 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
     name = None if options.mode == AUTO else options.mode
     if options.bound is not None or options.certificate:
         name = name or choose_mode(problem, options.bound, options.certificate)
-    if name is not None:  # before kernels are compiled
+    if name is not None and options.downsample is None:  # before kernels are compiled
         _check(find_mode(problem.model, name), problem)
     setup = Setup.of(_problems(problem), limits, options)
     _check(setup.mode, setup.searched[-1])
@@ -146,8 +146,9 @@ def choice_warnings(
         )
     if chosen.compared and chosen.is_cut:
         yield (
-            f"n_inliers={n_inliers} is uncertain: the time for the choice, {TIME_SHARE:.0%} of the time "
-            f"limit, ended before all poses and numbers were compared. Allow more time. {_REMEDY}"
+            f"n_inliers={n_inliers} is uncertain: the search was stopped or the time for the choice, "
+            f"{TIME_SHARE:.0%} of the time limit, was over before all poses and numbers were compared. "
+            f"Allow more time. {_REMEDY}"
         )
     other = chosen.runner_up
     if other is not None and not chosen.low <= other <= chosen.high:
