@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib.util
+import importlib
 import json
 import os
 import re
-import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
@@ -28,7 +27,7 @@ from baselines.contract import Baseline, Card
 from baselines.dependencies import files_behind
 from baselines.options import check_option
 from dcreg._version import __version__ as repository_version
-from dcreg.plugins import Plugin, PluginError, plugins
+from dcreg.plugins import Plugin, PluginError, files_under, import_file, plugins
 from dcreg.problem.problem import suggestion
 
 ROOT = Path(__file__).resolve().parent
@@ -139,7 +138,8 @@ def load(name: str, *, root: Path | None = None, **options: Any) -> Baseline:
         if problem := check_option(card, option, value):
             raise BaselineError(f"{name}: {problem}")
     path = folder_of(name, root) / "adapter.py"
-    module = _import_adapter(name, path, is_plugin=root is None and bool(_plugins_named(name)))
+    added = [] if root else _plugins_named(name)
+    module = _import_adapter(path, added[0].module if added else "")
     adapter = getattr(module, "Adapter", None)
     if not (isinstance(adapter, type) and issubclass(adapter, Baseline)):
         raise BaselineError(
@@ -294,43 +294,27 @@ def code_of(name: str, root: Path | None = None) -> list[Path]:
     folder = folder_of(name, root)
     if root is None and (added := _plugins_named(name)):
         folder = added[0].package
-    own = [path for path in _files(folder) if path.name != "card.yaml"]
+    own = [path for path in files_under(folder) if path.name != "card.yaml"]
     behind = files_behind([*own, ROOT / "contract.py"], ROOT.parent)
     return sorted(behind, key=shown)
 
 
-def _import_adapter(name: str, path: Path, *, is_plugin: bool) -> ModuleType:
-    """Import a file ``adapter.py``; a package that adds a method may use relative imports."""
+def _import_adapter(path: Path, package: str) -> ModuleType:
+    """Import a file ``adapter.py``: of a package that adds a method, of this folder, or of any other."""
     if not path.is_file():
         raise BaselineError(f"{shown(path)}: missing; copy it from baselines/_template/adapter.py")
     if path.parents[1] == ROOT:
-        return importlib.import_module(f"baselines.{name}.adapter")
+        return importlib.import_module(f"baselines.{path.parent.name}.adapter")
     try:
-        if is_plugin:
-            return importlib.import_module(f"{_plugins_named(name)[0].module}.adapter")
-        return _import_file(path)
+        if package:
+            return importlib.import_module(f"{package}.adapter")
+        return import_file(path)
     except ImportError:
         raise
     except Exception as error:  # what the code of others raises
         raise BaselineError(
             f"{shown(path)}: cannot be loaded: {type(error).__name__}: {error}"
         ) from error
-
-
-def _import_file(path: Path) -> ModuleType:
-    module_name = f"_baselines_elsewhere.{hashlib.sha1(str(path).encode()).hexdigest()}"
-    if module_name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(module_name, path)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[module_name] = module  # dataclasses look up the module of their class
-        try:
-            spec.loader.exec_module(module)
-        except BaseException:
-            del sys.modules[module_name]
-            raise
-    return sys.modules[module_name]
 
 
 def _card_message(path: Path, error: ValidationError) -> str:
@@ -342,12 +326,6 @@ def _card_message(path: Path, error: ValidationError) -> str:
     if problem["type"] == "missing":
         return f"{message}; add it, see baselines/_template/card.yaml"
     return f"{message}, is {problem['input']!r}; see baselines/contract.py"
-
-
-def _files(folder: Path) -> Iterator[Path]:
-    for path in sorted(folder.rglob("*")):
-        if path.is_file() and "__pycache__" not in path.parts:
-            yield path
 
 
 @functools.cache

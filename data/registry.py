@@ -6,10 +6,7 @@ add datasets by the entry points of the group ``dcreg.datasets`` (`dcreg.plugins
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import os
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import import_module
@@ -22,7 +19,7 @@ from pydantic import ValidationError
 from data.contract import Card, DataError, Dataset, UnknownNameError
 from data.loaders import STOCK
 from data.parameters import place_of, shown
-from dcreg.plugins import Plugin, PluginError, plugins
+from dcreg.plugins import Plugin, PluginError, files_under, import_file, plugins
 from dcreg.plugins import files_of as files_of_plugin
 from dcreg.problem import suggestion
 
@@ -77,14 +74,7 @@ def _own_module(path: Path, package: str) -> ModuleType:
     """Import the ``loader.py`` of a dataset: of a package, of this folder, or of any other."""
     if package or path.parents[1] == HERE:
         return import_module(f"{package or f'data.{path.parent.name}'}.loader")
-    name = f"_data_elsewhere.{hashlib.sha1(str(path).encode()).hexdigest()}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
+    return import_file(path)
 
 
 class Found(Mapping[str, Dataset]):
@@ -172,5 +162,4 @@ def files_of(name: str) -> list[Path]:
     added = [plugin for plugin in plugins(GROUP) if plugin.name == name]
     if added:
         return files_of_plugin(added[0])
-    paths = sorted(card.folder.rglob("*"))
-    return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]
+    return files_under(card.folder)

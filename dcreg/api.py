@@ -79,7 +79,7 @@ def register(
     time_limit : float, optional
         Seconds for the solve, 60 by default; None or inf: no limit. At the limit the best pose is
         returned with status ``time_limit``, at most a tenth of the limit and a second later, or several
-        seconds later if the clouds have more than 500,000 points.
+        seconds later if the clouds have more than 100,000 points.
     node_limit : int, optional
         Maximum number of boxes bounded per stage. A round of up to a thousand boxes is completed.
     memory_limit_mb : float, optional

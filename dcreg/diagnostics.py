@@ -105,7 +105,21 @@ class Case:
     @cached_property
     def undetermined(self) -> str | None:
         """The warning that the pairs do not determine the pose; it makes others meaningless."""
-        return _undetermined(self)
+        k, clouds = self.result.n_inliers, (self.problem.source, self.problem.target)
+        if k == 1:
+            is_all = min(map(len, clouds)) == 1
+            return f"one pair does not determine the pose. {_NO_NUMBER if is_all else _MORE_PAIRS}"
+        extent = max(map(rms_radius, clouds))
+        for name, points, rows in zip(
+            ("source", "target"), clouds, self.result.assignment.T, strict=True
+        ):
+            shape = _shape(points[rows], extent)
+            if shape is None:
+                continue
+            is_all = k == min(map(len, clouds)) or _shape(points, extent) is not None
+            remedy = _NO_NUMBER if is_all else _MORE_PAIRS
+            return f"the {k} matched {name} points {shape} and do not determine the pose. {remedy}"
+        return None
 
     @cached_property
     def lowest_rmse(self) -> float:
@@ -222,24 +236,6 @@ def scale_at_limit(case: Case) -> str | None:
 def undetermined(case: Case) -> str | None:
     """Several poses fit the pairs equally well."""
     return case.undetermined
-
-
-def _undetermined(case: Case) -> str | None:
-    k, clouds = case.result.n_inliers, (case.problem.source, case.problem.target)
-    if k == 1:
-        is_all = min(map(len, clouds)) == 1
-        return f"one pair does not determine the pose. {_NO_NUMBER if is_all else _MORE_PAIRS}"
-    extent = max(map(rms_radius, clouds))
-    for name, points, rows in zip(
-        ("source", "target"), clouds, case.result.assignment.T, strict=True
-    ):
-        shape = _shape(points[rows], extent)
-        if shape is None:
-            continue
-        is_all = k == min(map(len, clouds)) or _shape(points, extent) is not None
-        remedy = _NO_NUMBER if is_all else _MORE_PAIRS
-        return f"the {k} matched {name} points {shape} and do not determine the pose. {remedy}"
-    return None
 
 
 def _shape(points: np.ndarray, extent: float) -> str | None:

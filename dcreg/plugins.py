@@ -1,6 +1,6 @@
-"""What other installed packages add to the benchmark, by entry points.
+"""What other packages and folders add to the benchmark.
 
-A package names its methods, datasets and metrics in its ``pyproject.toml``::
+An installed package names its methods, datasets and metrics, the entry points, in ``pyproject.toml``::
 
     [project.entry-points."dcreg.baselines"]
     my_method = "my_package.my_method"
@@ -12,11 +12,13 @@ imported to find them.
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib.util
 import sys
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from types import ModuleType
 
 
 class PluginError(ValueError):
@@ -107,5 +109,27 @@ def files_of(plugin: Plugin) -> list[Path]:
         package = plugin.package
     except PluginError:
         return []
-    paths = sorted(package.rglob("*")) if package.is_dir() else [package]
+    return files_under(package) if package.is_dir() else [package]
+
+
+def files_under(folder: Path) -> list[Path]:
+    """Return all files of a folder and its subfolders except compiled ones, sorted."""
+    paths = sorted(folder.rglob("*"))
     return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]
+
+
+def import_file(path: Path) -> ModuleType:
+    """Import a Python file that belongs to no package, once."""
+    name = f"_elsewhere.{hashlib.sha1(str(path).encode()).hexdigest()}"
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module  # dataclasses look up the module of their class
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]

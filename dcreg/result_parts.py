@@ -232,7 +232,8 @@ class ChosenNumber:
     runner_up : int, optional
         This number of pairs fits nearly as well at a clearly different pose.
     is_cut : bool
-        Whether the time limit ended the comparison before all poses and numbers were compared.
+        Whether the time limit or the listener ended the comparison before all poses and numbers were
+        compared.
     """
 
     compared: list[ComparedNumber]
@@ -248,7 +249,7 @@ class ChosenNumber:
         shown = ", ".join(f"{k}: {rms:.3g}" for k, rms in self.compared[::-step][::-1])
         is_clear = self.low == self.high
         near = "no other number fits" if is_clear else f"{self.low} to {self.high} pairs fit"
-        cut = "; the time limit ended the comparison" * self.is_cut
+        cut = "; not all poses and numbers were compared" * self.is_cut
         return f"{near} nearly as well{cut}\nRMS residual by number of pairs: {shown}"
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from workflows import CHECKOUT, HISTORY
-from workflows.cli import Experiment, say, user_errors
+from workflows.cli import ConfigOfRun, Experiment, RunId, Stored, say, user_errors
 
 app = typer.Typer(
     help="Build the pages that show results.",
@@ -36,13 +36,9 @@ def experiment(
 @app.command()
 @user_errors
 def boxes(
-    run_id: Annotated[str, typer.Argument(help="From column run_id of tables/runs.csv.")],
-    experiment: Annotated[
-        str, typer.Option(help="Config of the run; default: the one recorded with the run.")
-    ] = "",
-    results: Annotated[
-        Path, typer.Option(help="Folder of results to search after the archives.")
-    ] = Path("results"),
+    run_id: RunId,
+    experiment: ConfigOfRun = "",
+    results: Stored = Path("results"),
     out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("results/boxes"),
 ) -> None:
     """Repeat a run of DC-Reg, compare it with the stored one, and draw the boxes of its search.

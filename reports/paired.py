@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.standing import exact_p
 from reports.tables import Tables, is_right
-from workflows.compare import SAME
+from workflows.compare import SAME, exact_p
 from workflows.outcomes import attempted, comparable_times
 
 PLACE = ["test", "shape", "level", "trial"]

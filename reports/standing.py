@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
-from scipy.stats import binom
 
 from reports.ledger.intervals import holm
 from reports.tables import Tables, is_right, share_interval
+from workflows.compare import exact_p
 from workflows.outcomes import attempted
 
 ALL = "all tests"
@@ -113,8 +111,3 @@ def _p_value(best: pd.Series, other: pd.Series) -> float:
     both = best.notna() & other.notna()
     best, other = best[both].astype(bool), other[both].astype(bool)
     return float(exact_p((best & ~other).sum(), (~best & other).sum()))
-
-
-def exact_p(wins: ArrayLike, losses: ArrayLike) -> np.ndarray:
-    """Return p-values of the exact two-sided sign test; of right and wrong poses, McNemar's test."""
-    return np.minimum(1.0, 2.0 * binom.cdf(np.minimum(wins, losses), np.add(wins, losses), 0.5))

@@ -18,7 +18,7 @@ import typer
 from dcreg.problem import suggestion
 from dcreg.status import Status
 from workflows import CHECKOUT, HISTORY, UserError, merge
-from workflows.cli import Experiment, Folder, say, stop, user_errors
+from workflows.cli import ConfigOfRun, Experiment, Folder, RunId, Stored, say, stop, user_errors
 from workflows.stages import commands
 from workflows.stages.commands import planned
 
@@ -273,13 +273,9 @@ def versions(
 @app.command()
 @user_errors
 def replay(
-    run_id: Annotated[str, typer.Argument(help="From column run_id of tables/runs.csv.")],
-    experiment: Annotated[
-        str, typer.Option(help="Config of the run; default: the one recorded with the run.")
-    ] = "",
-    results: Annotated[
-        Path, typer.Option(help="Folder of results to search after the archives.")
-    ] = Path("results"),
+    run_id: RunId,
+    experiment: ConfigOfRun = "",
+    results: Stored = Path("results"),
 ) -> None:
     """Repeat one run without the isolation of a worker process, and compare it with the stored one.
 

@@ -20,6 +20,12 @@ Experiment = Annotated[
 ]
 Folder = Annotated[Path, typer.Argument(help="Results of an experiment: results/<name>.")]
 Out = Annotated[Path, typer.Option()]
+# Of the commands that repeat a run.
+RunId = Annotated[str, typer.Argument(help="From column run_id of tables/runs.csv.")]
+ConfigOfRun = Annotated[
+    str, typer.Option(help="Config of the run; default: the one recorded with the run.")
+]
+Stored = Annotated[Path, typer.Option(help="Folder of results to search after the archives.")]
 
 
 def user_errors(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from workflows import HISTORY, UserError
 from workflows.integrals import KINDS
@@ -254,13 +255,18 @@ def _labels(pairs: pd.DataFrame) -> pd.Series:
     return pd.Series(labels, index=pairs.index, dtype=str)
 
 
+def exact_p(wins: ArrayLike, losses: ArrayLike) -> np.ndarray:
+    """Return p-values of the exact two-sided sign test; of right and wrong poses, McNemar's test."""
+    from scipy.stats import binom
+
+    return np.minimum(1.0, 2.0 * binom.cdf(np.minimum(wins, losses), np.add(wins, losses), 0.5))
+
+
 def sign_test(better: int, worse: int) -> tuple[str, float]:
     """Return the verdict on paired differences, and its p-value: ``unclear`` if not significant."""
-    from scipy.stats import binomtest
-
     if better == worse == 0:
         return "same", np.nan
-    p_value = float(binomtest(worse, better + worse).pvalue)
+    p_value = float(exact_p(better, worse))
     if p_value < SIGNIFICANT:
         return "worse" if worse > better else "better", p_value
     return "unclear", p_value

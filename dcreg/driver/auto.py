@@ -59,9 +59,8 @@ MANY_PAIRS = 40_000  # point pairs from which nearest distances replace one-to-o
 MAX_NUMBERS = 400  # among which the choice is made
 MAX_BETWEEN = 40  # numbers tried between the neighbours of the best one
 MAX_POSES = 3  # of a probe that are followed
-DISTINCT_POSES = (
-    0.1  # RMS displacement of the source from which poses differ, in RMS radii of the target
-)
+# RMS displacement of the source from which poses differ, in RMS radii of the target.
+DISTINCT_POSES = 0.1
 MAX_ROUNDS = 8  # of the alternation
 MAX_POINTS = 2000  # source points whose nearest distances are compared
 TIME_SHARE = 0.4  # of the time limit
@@ -86,7 +85,7 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
     name = None if options.mode == AUTO else options.mode
     if options.bound is not None or options.certificate:
         name = name or choose_mode(problem, options.bound, options.certificate)
-    if name is not None:  # before kernels are compiled
+    if name is not None and options.downsample is None:  # before kernels are compiled
         _check(find_mode(problem.model, name), problem)
     setup = Setup.of(_problems(problem), limits, options)
     _check(setup.mode, setup.searched[-1])
@@ -103,10 +102,7 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
             chosen_number=chosen,
             stages=[stage, *result.stages],
             n_assignments=result.n_assignments + choice.n_assignments,
-            warnings=[
-                *choice_warnings(result.n_inliers, chosen, setup.problems),
-                *result.warnings,
-            ],
+            warnings=[*choice_warnings(result.n_inliers, chosen, setup.problems), *result.warnings],
         )
 
 
@@ -146,8 +142,9 @@ def choice_warnings(
         )
     if chosen.compared and chosen.is_cut:
         yield (
-            f"n_inliers={n_inliers} is uncertain: the time for the choice, {TIME_SHARE:.0%} of the time "
-            f"limit, ended before all poses and numbers were compared. Allow more time. {_REMEDY}"
+            f"n_inliers={n_inliers} is uncertain: the search was stopped or the time for the choice, "
+            f"{TIME_SHARE:.0%} of the time limit, was over before all poses and numbers were compared. "
+            f"Allow more time. {_REMEDY}"
         )
     other = chosen.runner_up
     if other is not None and not chosen.low <= other <= chosen.high:
@@ -246,15 +243,9 @@ class _Choice(abc.ABC):
         last = others[others > fit.best].min(initial=len(compared)) - 1
         low, high = min(chosen, compared[first].n_inliers), max(chosen, compared[last].n_inliers)
         # many neighbours can exceed the largest possible number of pairs; it is listed once
-        distinct = {each.n_inliers: each for each in reversed(compared)}
-        evidence = ChosenNumber(
-            list(distinct.values())[::-1],
-            low,
-            high,
-            self._runner_up(fit, fits),
-            self.budget.is_over,
-        )
-        return at, evidence, fit.pose
+        distinct = list({each.n_inliers: each for each in reversed(compared)}.values())[::-1]
+        runner_up = self._runner_up(fit, fits)
+        return at, ChosenNumber(distinct, low, high, runner_up, self.budget.is_over), fit.pose
 
     def _runner_up(self, fit: _Fit, fits: Sequence[_Fit]) -> int | None:
         """Return the number of pairs of a clearly different pose that is nearly as good, or None."""

@@ -9,6 +9,7 @@ from dcreg.families.registry import bound_parts
 from dcreg.names import DEFAULT_BOUND, mode_names
 from dcreg.problem import InputError, Problem
 
+FEWER_POINTS = "give fewer points, such as keypoints"
 SAMPLE = "search a smaller sample (downsample=400, or --downsample 400)"
 
 
@@ -35,7 +36,7 @@ def check_mode(
     for name, given in (("init", has_init), ("max_rms", has_max_rms)):
         if given and mode.in_norm_space:
             # a sample says nothing about max_rms on all points
-            few = "give fewer points, such as keypoints" if has_max_rms else SAMPLE
+            few = FEWER_POINTS if has_max_rms else SAMPLE
             raise InputError(f"{name}: {norms_only(mode, problem, few)}")
     if problem.pose_range is not None:
         if mode.in_region is None:
@@ -100,7 +101,5 @@ def norms_only(mode: Mode, problem: Problem, few: str = SAMPLE) -> str:
             f"{n:,} x {m:,} points are too many for a search over poses (at most {NORM_PAIRS:,} pairs of "
             f"points); {few}"
         )
-    name = mode.name
-    return (
-        f"mode {name!r} searches norms, not poses; use mode 'full', and omit bound and certificate"
-    )
+    searched = f"mode {mode.name!r} searches norms, not poses"
+    return f"{searched}; use mode 'full', and omit bound and certificate"

@@ -156,7 +156,8 @@ class Setup:
         limits.check(largest.n_inliers)
         memory = estimated_memory(problems[-1], largest, chosen, bound, len(problems))
         check_memory(memory, problems[-1])
-        if is_large_work(problems[-1], limits.time_s):
+        is_shown = _LOGGER.isEnabledFor(logging.INFO)  # the estimate of the times is measured
+        if is_shown and is_large_work(problems[-1], limits.time_s):
             stages = first_stages(problems[-1], largest, chosen)
             _LOGGER.info(advance_notice(memory, limits.time_s, stages))
         checkpoint = None

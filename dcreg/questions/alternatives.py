@@ -15,7 +15,8 @@ import numpy as np
 
 from dcreg import text
 from dcreg.answer import Answer
-from dcreg.driver.modes import NORM_PAIRS, run_mode
+from dcreg.driver.checks import FEWER_POINTS, norms_only
+from dcreg.driver.modes import run_mode
 from dcreg.driver.options import Limits, SolveOptions, check_positive
 from dcreg.driver.solve import Finish, Setup
 from dcreg.driver.warm_up import warm_up_region
@@ -242,16 +243,8 @@ def find_alternatives(
             "source, target: a sample would be searched and proves nothing about all points; give fewer "
             "points, such as keypoints, and no downsample"
         )
-    if setup.mode.in_region is None:
-        n, m = len(problem.source), len(problem.target)
-        if n * m > NORM_PAIRS:
-            raise InputError(
-                f"source, target: {n:,} x {m:,} points are too many for a search for other poses (at "
-                f"most {NORM_PAIRS:,} pairs of points); give fewer points, such as keypoints"
-            )
-        raise InputError(
-            f"mode: {setup.mode.name!r} cannot search for other poses; use mode 'full', and omit bound"
-        )
+    if setup.mode.in_norm_space:
+        raise InputError(f"alternatives: {norms_only(setup.mode, problem, FEWER_POINTS)}")
     warm_up_region(setup.mode)
     with setup.budget() as budget:
         solving = budget.isolated_sub_budget(SOLVE_SHARE)

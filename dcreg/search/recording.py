@@ -44,8 +44,8 @@ class Recorder:
         self, stage: str, boxes: Boxes, is_open: np.ndarray, end: tuple[float, float, np.ndarray]
     ) -> None:
         """Record a round of a search."""
-        if self.n_boxes + len(boxes) > MOST_BOXES:
-            self.is_complete = False
+        self.is_complete &= self.n_boxes + len(boxes) <= MOST_BOXES
+        if not self.is_complete:  # smaller rounds that follow are left out, too: no gaps
             return
         self.n_boxes += len(boxes)
         recording = self.stages.setdefault(stage, Recording())
@@ -54,6 +54,8 @@ class Recorder:
 
     def confine(self, stage: str, confined: Confined) -> None:
         """Record that a search continues only in some boxes."""
+        if not self.is_complete:
+            return
         recording = self.stages.setdefault(stage, Recording())
         recording.cuts.append((sum(len(boxes) for boxes, _ in recording.rounds), confined))
 

@@ -33,8 +33,13 @@ class Searchable(Protocol):
     is_confirmed: bool  # whether independent initial poses agree on the first incumbent
     ends: Sequence[tuple[np.ndarray, float]]  # where local searches ended, with the objective
 
-    def start(self, budget: Budget, enough: float) -> tuple[np.ndarray, float, int]:
-        """Return a first incumbent: theta, objective, assignments spent; `enough` is good enough."""
+    def start(
+        self, budget: Budget, enough: float = 0.0, known: float = np.inf
+    ) -> tuple[np.ndarray, float, int]:
+        """Return a first incumbent: theta, objective, assignments spent.
+
+        `enough` is good enough, and values of at least `known` are not reported.
+        """
         ...
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:

@@ -92,7 +92,7 @@ def _details(row: Row) -> dict[str, Any]:
     """Return what the view of one problem shows."""
     problem, record = row.problem, row.record
     best = record.best_pose
-    details = {
+    details: dict[str, Any] = {
         "title": problem.title, "origin": problem.origin, "licence": problem.licence,
         "unit": problem.unit, "scale_range": problem.scale_range,
         "facts": _facts(row), "history": _history(record),

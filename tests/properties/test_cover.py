@@ -128,31 +128,48 @@ def test_the_factor_is_the_minimum_over_all_divisions(sizes, k):
     assert factor_of(sizes, k) <= min(totals) + 1e-9
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=8)
-@given(SEEDS, st.integers(6, 9), st.sampled_from([1.001, 1.3, 3.0]))
-def test_no_stationary_pose_below_the_cutoff_is_lost(kind, seed, k, factor):
-    space = make_space(seed, kind, k=k)
+def poses_kept(space: Rigid3D, factor: float) -> int:
+    """Check that a cover keeps all local minima below its cutoff; return their number.
+
+    The cutoff is slightly above `factor` times the lowest one. Covers that take long are not checked.
+    """
     minima = local_minima(space)
     cutoff = factor * min(value for _, value in minima) + 1e-6
     confined = CongruentCover(space).confine(cutoff, Budget(nodes=1), AFFORDED_S)
     assume(confined is not None)
-    for theta, value in minima:
-        if value < cutoff:
-            assert contains(confined.boxes, theta)
+    below = [theta for theta, value in minima if value < cutoff]
+    assert all(contains(confined.boxes, theta) for theta in below)
+    return len(below)
 
 
-@settings(max_examples=6)
-@given(SEEDS)
-def test_no_feasible_optimum_is_lost(seed):
-    full = make_space(seed, n=8, m=9, k=6)
-    feasible = np.random.default_rng(seed).random((8, 9)) < 0.8
-    space = Rigid3D(full.clouds.source.T, full.clouds.target.T, 6, feasible)
-    minima = local_minima(space)
-    cutoff = 1.5 * min(value for _, value in minima) + 1e-6
-    confined = CongruentCover(space).confine(cutoff, Budget(nodes=1), AFFORDED_S)
-    assume(confined is not None)
-    assert all(contains(confined.boxes, theta) for theta, value in minima if value < cutoff)
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_stationary_pose_below_the_cutoff_is_lost(kind):
+    kept = []
+
+    @settings(max_examples=8)
+    @given(SEEDS, st.integers(6, 9), st.sampled_from([1.001, 1.3, 3.0]))
+    def judge(seed, k, factor):
+        kept.append(poses_kept(make_space(seed, kind, k=k), factor))
+
+    judge()
+    assert len(kept) >= 5  # others are given up
+    assert min(kept) > 0
+
+
+def test_no_feasible_optimum_is_lost():
+    kept = []
+
+    @settings(max_examples=6)
+    @given(SEEDS)
+    def judge(seed):
+        full = make_space(seed, n=8, m=9, k=6)
+        feasible = np.random.default_rng(seed).random((8, 9)) < 0.8
+        space = Rigid3D(full.clouds.source.T, full.clouds.target.T, 6, feasible)
+        kept.append(poses_kept(space, 1.5))
+
+    judge()
+    assert len(kept) >= 5
+    assert min(kept) > 0
 
 
 @settings(max_examples=25)

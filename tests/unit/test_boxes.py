@@ -1,10 +1,12 @@
 """The boxes of a search are recorded without changing it, and drawn as slices."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
 from dcreg import register
-from dcreg.search import recording
+from dcreg.search import Box, Boxes, Confined, Recorder, recording
 from reports import boxes
 
 
@@ -53,3 +55,14 @@ def test_nothing_is_recorded_outside_the_context(recorded):
     points = np.random.default_rng(4).random((6, 2))
     register(points, points, n_inliers=6, model="similarity2d")
     assert recorder.n_boxes == count
+
+
+def test_a_recording_ends_at_the_first_round_that_does_not_fit(monkeypatch):
+    """A smaller round after it would leave a gap, and a later stage would have no boxes to draw."""
+    monkeypatch.setattr(import_module("dcreg.search.recording"), "MOST_BOXES", 10)
+    recorder, end = Recorder(), (0.0, 1.0, np.zeros(2))
+    for size in (8, 4, 1):
+        rounds = Boxes.of([Box(np.zeros(2), np.ones(2))] * size)
+        recorder.add("first", rounds, np.ones(size, bool), end)
+    recorder.confine("second", Confined(rounds, np.inf))
+    assert (recorder.n_boxes, recorder.is_complete, list(recorder.stages)) == (8, False, ["first"])

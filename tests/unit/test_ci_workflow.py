@@ -35,7 +35,7 @@ def test_a_script_parses_and_calls_existing_targets(script):
     targets = set(re.findall(r"^## ([a-z0-9-]+):", makefile, re.MULTILINE)) | {"dev"}
     assert set(re.findall(r"\bmake ([a-z-]+)", script)) <= targets
     for variable in re.findall(r" ([A-Z]+)=", script):
-        assert f"$({variable})" in makefile or f"$(if $({variable})" in makefile
+        assert f"$({variable})" in makefile
 
 
 def test_it_runs_tests_benchmark_and_comparison():

@@ -166,11 +166,17 @@ def test_a_pose_that_the_pairs_do_not_determine(dim):
     source, target = clouds(dim, size=12)
     assert any("n_inliers" in line for line in solve(source, target, dim - 1).warnings)
     one = solve(source, target, 1).warnings
-    assert any(line.startswith("one pair does not determine the pose") for line in one)
+    more = "determine the pose. Match more pairs (n_inliers)"
+    assert any(line.startswith(f"one pair does not {more}") for line in one)
     equal = np.ones((6, dim))
     assert any("coincide and do not determine" in line for line in solve(equal, equal, 6).warnings)
     good = solve(source, target, 12)
     assert diagnostics.undetermined(case(good, source, target)) is None
+    source[1] = source[0]
+    two = case(good, source, target, n_inliers=2, assignment=np.array([[0, 0], [1, 1]]))
+    assert f"the 2 matched source points coincide and do not {more}" in diagnostics.undetermined(
+        two
+    )
     (line,) = solve(source, 0.0 * target, 12, time_limit=1.0).warnings[:1]
     assert (
         line

@@ -140,6 +140,12 @@ def test_the_notice_comes_before_the_search_and_the_estimate_is_in_the_result(ca
     assert found.to_dict()["memory_estimate"]["box_bytes"] == 104
 
 
+def test_no_time_is_measured_for_a_notice_that_is_not_shown(caplog, monkeypatch):
+    monkeypatch.setattr(stages, "slowness", lambda: pytest.fail("measured"))
+    with caplog.at_level(logging.WARNING, "dcreg"):
+        register(*clouds(8, 8, 2), n_inliers=8, model="similarity2d", time_limit=None)
+
+
 def test_triples_are_not_used_with_so_many_targets_that_their_distances_do_not_fit():
     assert CongruentCover(Rigid3D(*clouds(40, 2000, 3), 30)).applies
     assert not CongruentCover(Rigid3D(*clouds(40, 2001, 3), 30)).applies

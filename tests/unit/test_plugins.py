@@ -71,11 +71,20 @@ def test_the_method_of_the_example_keeps_every_rule(
     assert found.name == "principal_axes"
 
 
-def test_its_dataset_is_found_and_its_files_decide_the_instances(example: Path) -> None:
+def test_its_dataset_is_found_and_its_files_decide_the_instances(
+    example: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     spiral = datasets.dataset("spiral")
     assert make_instance(spiral, "spiral", "noise", 0.01, 0, n_points=12).source.shape == (12, 2)
-    assert EXAMPLE / "dcreg_example" / "spiral" / "loader.py" in datasets.files_of("spiral")
-    assert len(sources_digest(["spiral"])) == 12
+    files, before = datasets.files_of("spiral"), sources_digest(["spiral"])
+    loader = EXAMPLE / "dcreg_example" / "spiral" / "loader.py"
+    assert loader in files
+    assert sources_digest(["spiral"]) == before
+    changed = tmp_path / "loader.py"
+    changed.write_text(f"{loader.read_text()}\n")
+    others = [changed if path == loader else path for path in files]
+    monkeypatch.setattr(datasets, "files_of", lambda name: others)
+    assert sources_digest(["spiral"]) != before
 
 
 def test_its_metric_becomes_a_column(example: Path) -> None:

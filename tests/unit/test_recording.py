@@ -12,6 +12,7 @@ import pytest
 from baselines.registry import SEARCH_PATH
 from tests.unit.report_fixture import CASES, write_tables
 from workflows import CHECKOUT, provenance, recording
+from workflows.config import Experiment
 from workflows.integrals import COLUMNS, integral, integrals
 from workflows.records import SCHEMA_VERSION
 
@@ -107,7 +108,7 @@ def test_every_committed_record_is_readable_small_and_runnable_again():
         for name, record in recording.read(version).items():
             folder = recording.HISTORY / version / name
             assert (folder / recording.RUNS).stat().st_size <= recording.MOST_BYTES
-            assert record.about["config"]["name"] == name
+            assert Experiment.model_validate(record.about["config"]).name == name
             assert not record.about["git"]["dirty"]
             assert set(record.runs["method"]) == set(record.about["methods"])
             assert re.fullmatch("[0-9a-f]{40}", record.about["git"]["commit"])

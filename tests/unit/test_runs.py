@@ -65,14 +65,18 @@ def test_every_run_has_one_verdict(tables):
 
 def test_details_hold_pose_reason_and_history(made, tables):
     _, known = made
-    for run in tables.runs[tables.runs["upper_bound"].notna()].to_dict("records")[:5]:
+    compared = 0
+    for run in tables.runs[tables.runs["upper_bound"].notna()].to_dict("records")[:40]:
         found = known[run["run_id"]]
+        np.testing.assert_allclose(found["pose"], json.loads(run["T_target_source"]), rtol=1e-5)
         assert found["lower_bound"] == pytest.approx(run["lower_bound"], rel=1e-5)
         events = tables.traces[tables.traces["run_id"] == run["run_id"]]
         for stage, part in events.groupby("stage"):
             history = found["stages"][stage]
             assert history["upper"] == pytest.approx(list(part["upper_bound"]), rel=1e-5)
             assert history["nodes"] == pytest.approx(list(part["n_nodes"]))
+            compared += len(part)
+    assert compared >= 40
     late = tables.runs[tables.runs["status"] == "time_limit"].iloc[0]
     assert known[late["run_id"]]["reason"] == "hit its limit of 10 s (made-up bound)"
 
@@ -120,7 +124,10 @@ def test_thinned_clouds_keep_pairs_together(rng):
     assert len(kept) == 30
     whole = {(tuple(source[i]), tuple(target[j])) for i, j in pairs}
     assert {(tuple(few[i]), tuple(others[j])) for i, j in kept} <= whole
-    assert thinned(source[:5], target[:5], pairs[:0], 90)[0] is not None
+    few, others, kept = thinned(source[:5], target[:5], pairs[:0], 90)
+    np.testing.assert_array_equal(few, source[:5])
+    np.testing.assert_array_equal(others, target[:5])
+    assert kept.shape == (0, 2)
     far = 1e6 + rng.random((20, 2))
     assert np.abs(rounded(far) - far).max() <= 1e-4
 

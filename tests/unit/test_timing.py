@@ -1,11 +1,13 @@
 """Paired times: planted differences are found in noise, and noise alone is not a difference."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pandas as pd
 import pytest
 
-from tests.bench import planted
-from tests.bench.interleaved import MINIMUM_OF, REPETITIONS
+from tests.bench import interleaved, planted
+from tests.bench.interleaved import COUNTED, MINIMUM_OF, REPETITIONS, TIMED
 from workflows.timing import FEWEST, hodges_lehmann, is_precise, judge, judge_work
 
 
@@ -79,6 +81,32 @@ def test_one_box_more_in_one_problem_is_worse():
     table.loc[1, "n_nodes_head"] += 1
     nodes, _ = judge_work(table)
     assert (nodes.verdict, nodes.differing) == ("worse", ("b",))
+
+
+def test_sides_take_turns_and_the_minimum_of_their_solves_is_kept(tmp_path, monkeypatch):
+    asked = []
+
+    class FakeSide:
+        def __init__(self, name):
+            self.name, self.count = name, 0
+
+        def solve(self, problem):
+            asked.append((problem, self.name))
+            self.count += 1
+            seconds = 1.0 + self.count % MINIMUM_OF + (self.name == "head")
+            return {"cpu_s": seconds, "status": "optimal", "n_nodes": 5, "n_assignments": 7}
+
+    monkeypatch.setattr(interleaved, "side", lambda path, file: nullcontext(FakeSide(path.name)))
+    table = interleaved.measure(tmp_path / "base", {"head": tmp_path / "head"}, 6)["head"]
+    counted, timed = table.iloc[: len(COUNTED)], table.iloc[len(COUNTED) :]
+    assert counted["cpu_s_base"].isna().all()
+    assert timed.groupby("problem")["repetition"].apply(list).tolist() == [[*range(6)]] * len(TIMED)
+    assert set(timed["cpu_s_base"]) == {1.0}
+    assert set(timed["cpu_s_head"]) == {2.0}
+    first = [name for _, name in asked[::2]]
+    assert first.count("base") == pytest.approx(len(first) / 2, abs=2)
+    assert all(one[0] == other[0] for one, other in zip(asked[::2], asked[1::2], strict=True))
+    assert all(one[1] != other[1] for one, other in zip(asked[::2], asked[1::2], strict=True))
 
 
 def test_planted_changes_fit_the_sources(tmp_path):
