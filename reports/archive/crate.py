@@ -11,6 +11,7 @@ from rocrate.rocrate import ROCrate
 from reports.tables import ReportError
 
 METADATA = "ro-crate-metadata.json"
+_UNDESCRIBED = {METADATA, "checksums.sha256"}
 LICENCE = "https://spdx.org/licenses/MIT"
 FORMATS = {
     ".parquet": "application/vnd.apache.parquet",
@@ -36,7 +37,7 @@ MEANINGS = {
 
 
 def describe(folder: Path, facts: Mapping[str, Any]) -> None:
-    """Write the metadata of all files in `folder`."""
+    """Write the metadata of all files in `folder`, but not of themselves and of the checksums."""
     crate = ROCrate()
     crate.name = f"Results of the DC-Reg benchmark, version {facts['version']}"
     crate.description = (
@@ -45,17 +46,21 @@ def describe(folder: Path, facts: Mapping[str, Any]) -> None:
     )
     crate.license = LICENCE
     crate.datePublished = facts["created"]
-    for path in sorted(folder.rglob("*")):
-        if path.is_file():
-            name = path.relative_to(folder).as_posix()
-            properties = {
-                "name": name,
-                "description": _meaning(name),
-                "encodingFormat": FORMATS.get(path.suffix, "application/octet-stream"),
-                "contentSize": str(path.stat().st_size),
-            }
-            crate.add_file(str(path), dest_path=name, properties=properties)
+    for name in _described(folder):
+        path = folder / name
+        properties = {
+            "name": name,
+            "description": _meaning(name),
+            "encodingFormat": FORMATS.get(path.suffix, "application/octet-stream"),
+            "contentSize": str(path.stat().st_size),
+        }
+        crate.add_file(str(path), dest_path=name, properties=properties)
     crate.metadata.write(folder)
+
+
+def _described(folder: Path) -> list[str]:
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return sorted({path.relative_to(folder).as_posix() for path in files} - _UNDESCRIBED)
 
 
 def _meaning(name: str) -> str:
@@ -77,9 +82,7 @@ def check(folder: Path) -> None:
     except (ValueError, KeyError, OSError) as error:
         raise ReportError(f"{folder / METADATA}: not valid: {error}") from error
     described = {entity.id for entity in crate.data_entities}
-    present = {
-        path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()
-    } - {METADATA, "checksums.sha256"}
+    present = set(_described(folder))
     for name in sorted(described ^ present):
         what = "is not described" if name in present else "is missing"
         raise ReportError(f"{folder / METADATA}: {name} {what}; write the archive again")
