@@ -1,14 +1,18 @@
 """Compare two recorded versions: one verdict per experiment, method and metric.
 
-- Work counters are integers that do not depend on the machine: one run that differs is a real change.
-- A lost pose is always a regression. A lost certificate is one unless the run hit a time or memory limit.
+- Work counters are integers that repeat exactly on one machine: one run that differs is a real change.
+  Between records of two machines, rounding can change them, so a difference is ``changed``.
+- A lost pose is always a regression. A lost certificate is one unless the run hit a time or memory limit,
+  or another limit on another machine, whose rounding can cost a box.
 - Success, certificates, RMSE, objective and integrals over boxes are paired over the same instances and
-  judged by a sign test; a difference that may be due to chance is ``unclear``.
+  judged by a sign test, with Holm's correction over all tests that could find a difference; what may be
+  due to chance is ``unclear``.
 - Runs that hit the time or memory limit are excluded from counters, RMSE, objective and integrals,
   as they end at another point in each execution; they count in poses, success and the certified share.
 - Between records of two machines, such runs are excluded from poses, success and certificates too.
 - Runs of a method that is not installed on one side are excluded, and methods whose options, limits or
   prior differ in the two records.
+- Runs, methods, experiments, counters and integrals that the head lacks are a regression.
 - Times of records are measured once, on different days. They are compared only on the same machine and
   are never regressions. Times that were measured in turn (`tests.bench.interleaved`) can be.
 
@@ -17,24 +21,24 @@ Only the verdict ``worse`` is a regression.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 
 from workflows import HISTORY, UserError
 from workflows.integrals import KINDS
 from workflows.metrics import METRICS
 from workflows.outcomes import TIMED
 from workflows.recording import Record, read
+from workflows.significance import SIGNIFICANT, exact_p, holm, sign_test
 from workflows.timing import COUNTERS, judge, judge_once, judge_work
 
 QUALITY = ("rmse", "objective")
 SAME = 1e-6  # relative difference up to which two floating-point results are equal
-SIGNIFICANT = 0.05
 SETTINGS = ("options", "n_inliers_ratio", "limits")  # of a method, in a record
 
 
@@ -46,7 +50,8 @@ class CompareError(UserError):
 class Verdict:
     """The verdict on one metric of one method.
 
-    `lost` and `won` are the instances that are worse and better in the head.
+    `lost` and `won` are the instances that are worse and better in the head. `p_value` is NaN where a
+    rule decided, not a sign test.
     """
 
     experiment: str
@@ -75,6 +80,10 @@ class Judged:
     lost: Sequence[str] = ()
     won: Sequence[str] = ()
 
+    def decide(self, verdict: str, detail: str) -> None:
+        """Decide by a rule, whatever the sign test says."""
+        self.verdict, self.detail, self.p_value = verdict, detail, np.nan
+
 
 def compare(
     base: str, head: str, history: Path = HISTORY, times: Path | None = None
@@ -101,14 +110,35 @@ def compare(
             "record the same experiment for both"
         )
     verdicts = [verdict for name in shared for verdict in judge_records(name, old[name], new[name])]
-    if all(verdict.verdict == "not compared" for verdict in verdicts):
+    if all(verdict.metric == "runs" and verdict.verdict != "worse" for verdict in verdicts):
         raise CompareError(
             f"{base} and {head} share no instance and method with the same settings; record both with "
             "the same config"
         )
+    verdicts = corrected(verdicts)
+    for name in (name for name in old if name not in new):
+        verdicts.append(_runs(name, "all", len(old[name].runs), 0, "worse", f"not in {head}"))
     if times is not None:
         verdicts += judge_times(times)
     return pd.DataFrame(map(asdict, verdicts))
+
+
+def corrected(verdicts: Sequence[Verdict]) -> list[Verdict]:
+    """Return the verdicts after Holm's correction over all sign tests that could find a difference."""
+    tested = [at for at, verdict in enumerate(verdicts) if _can_be_significant(verdict)]
+    found = list(verdicts)
+    for at, level in zip(tested, holm([found[at].p_value for at in tested]), strict=True):
+        if level < found[at].p_value < SIGNIFICANT:
+            why = f"p of at most {level:.2g} needed, as one of {len(tested)} tests"
+            detail = _joined(found[at].detail, why)
+            found[at] = replace(found[at], verdict="unclear", detail=detail)
+    return found
+
+
+def _can_be_significant(verdict: Verdict) -> bool:
+    """Whether a sign test decided that could find anything in so few runs; others cost it nothing."""
+    differing = len(verdict.lost) + len(verdict.won)
+    return not np.isnan(verdict.p_value) and bool(exact_p(0, differing) < SIGNIFICANT)
 
 
 def judge_times(path: Path) -> Iterator[Verdict]:
@@ -144,11 +174,17 @@ def judge_records(name: str, base: Record, head: Record) -> Iterator[Verdict]:
     """Yield the verdicts on one experiment; methods with other settings are not compared."""
     for method in dict.fromkeys([*base.runs["method"], *head.runs["method"]]):
         old, new = (each.runs[each.runs["method"] == method] for each in (base, head))
-        if other := _other_settings(base, head, method):
-            sizes = float(len(old)), float(len(new))
-            yield Verdict(name, method, "runs", "runs", "none", *sizes, "not compared", other)
+        if new.empty:
+            yield _runs(name, method, len(old), 0, "worse", "the method is missing")
+        elif other := _other_settings(base, head, method):
+            yield _runs(name, method, len(old), len(new), "not compared", other)
         else:
             yield from judge_method(name, method, old, new)
+
+
+def _runs(experiment: str, method: str, old: int, new: int, verdict: str, detail: str) -> Verdict:
+    """Return the verdict on runs that have no counterpart to compare with."""
+    return Verdict(experiment, method, "runs", "runs", "none", old, new, verdict, detail)
 
 
 def _other_settings(base: Record, head: Record, method: str) -> str:
@@ -156,7 +192,7 @@ def _other_settings(base: Record, head: Record, method: str) -> str:
     old, new = (each.about.get("methods", {}).get(method, {}) for each in (base, head))
     for name in (key for key in SETTINGS if key in old and key in new):
         one, other = old[name], new[name]
-        if name == "limits":  # a later version may have more of them
+        if name == "limits" and one and other:  # a later version may have more of them
             shared = one.keys() & other.keys()
             one, other = ({key: each[key] for key in sorted(shared)} for each in (one, other))
         if one != other:
@@ -170,6 +206,7 @@ def judge_method(
     """Yield the verdicts on one method, over the runs that both versions have with the same input."""
     keys = ["instance_id", "instance_digest", "n_inliers"]
     pairs = base.merge(head, on=keys, suffixes=("_base", "_head"), validate="one_to_one")
+    n_same = len(pairs)
     absent = pairs[["status_base", "status_head"]].isin(["unavailable"]).any(axis=1)
     pairs = pairs[~absent].assign(label=_labels)
     unmatched = len(base) + len(head) - 2 * len(pairs)
@@ -182,6 +219,13 @@ def judge_method(
             list(found.won),
         )  # fmt: skip
 
+    sizes, ids = (len(base), len(head)), set(head["instance_id"])
+    if missing := len(set(base["instance_id"]) - ids):
+        yield _runs(experiment, method, *sizes, "worse", f"{missing} runs are missing")
+    if changed := len(base) - missing - n_same:
+        yield _runs(
+            experiment, method, *sizes, "not compared", f"{changed} runs have another input"
+        )
     if pairs.empty:
         yield verdict("runs", "runs", "none", Judged(len(base), len(head), "not compared"))
         return
@@ -222,9 +266,8 @@ def _of_steady_runs(pairs: pd.DataFrame) -> Iterator[tuple[str, str, Judged]]:
         return found
 
     for counter in COUNTERS:
-        counted = steady[steady[[f"{counter}_base", f"{counter}_head"]].notna().all(axis=1)]
-        if len(counted):
-            yield counter, "count", noted(_counter(counted, counter))
+        if found := _of_stated(steady, counter, partial(_counter, name=counter)):
+            yield counter, "count", noted(found)
     if steady.empty:
         return
     for metric in QUALITY:
@@ -233,15 +276,22 @@ def _of_steady_runs(pairs: pd.DataFrame) -> Iterator[tuple[str, str, Judged]]:
         found = noted(_quality(steady, metric, METRICS[metric].worst))
         yield f"median {metric}", METRICS[metric].unit, found
     for kind in KINDS:
-        known = steady[
-            steady[[f"{kind}_integral_{s}" for s in _sides("boxes")]].notna().all(axis=1)
-        ]
-        if len(known):
-            found = noted(_quality(known, f"{kind}_integral_boxes", np.nan))
-            yield f"median {kind} integral", "boxes", found
+        name = f"{kind}_integral_boxes"
+        if found := _of_stated(steady, name, partial(_quality, name=name, worst=np.nan)):
+            yield f"median {kind} integral", "boxes", noted(found)
     for metric in ("time_solve_s", *(f"{kind}_integral_s" for kind in KINDS)):
         if (steady[f"{metric}_base"] > 0).any():
             yield metric, "s, geometric mean", _times(steady, metric)
+
+
+def _of_stated(
+    pairs: pd.DataFrame, column: str, judged: Callable[[pd.DataFrame], Judged]
+) -> Judged | None:
+    """Judge the pairs that state a number on both sides; None if the base states none."""
+    old, new = (pairs[side].notna() for side in _sides(column))
+    if (old & new).any():
+        return judged(pairs[old & new])
+    return Judged(np.nan, np.nan, "worse", "no longer stated") if old.any() else None
 
 
 def _sides(name: str) -> tuple[str, str]:
@@ -253,23 +303,6 @@ def _labels(pairs: pd.DataFrame) -> pd.Series:
     names = [f"{name}_base" for name in ("dataset", "shape", "test", "level", "trial")]
     labels = [" ".join(map(str, row)) for row in pairs[names].itertuples(index=False)]
     return pd.Series(labels, index=pairs.index, dtype=str)
-
-
-def exact_p(wins: ArrayLike, losses: ArrayLike) -> np.ndarray:
-    """Return p-values of the exact two-sided sign test; of right and wrong poses, McNemar's test."""
-    from scipy.stats import binom
-
-    return np.minimum(1.0, 2.0 * binom.cdf(np.minimum(wins, losses), np.add(wins, losses), 0.5))
-
-
-def sign_test(better: int, worse: int) -> tuple[str, float]:
-    """Return the verdict on paired differences, and its p-value: ``unclear`` if not significant."""
-    if better == worse == 0:
-        return "same", np.nan
-    p_value = float(exact_p(better, worse))
-    if p_value < SIGNIFICANT:
-        return "worse" if worse > better else "better", p_value
-    return "unclear", p_value
 
 
 def _paired(pairs: pd.DataFrame, old: float, new: float, lost: pd.Series, won: pd.Series) -> Judged:
@@ -287,9 +320,9 @@ def _poses(pairs: pd.DataFrame) -> Judged:
     if found.lost:
         ended = pairs.loc[new & ~old, "status_head"].value_counts().items()
         why = ", ".join(f"{count} {status}" for status, count in ended)
-        found.verdict, found.detail = "worse", f"{len(found.lost)} poses lost ({why})"
+        found.decide("worse", f"{len(found.lost)} poses lost ({why})")
     elif found.won:
-        found.verdict, found.detail = "better", f"{len(found.won)} poses found"
+        found.decide("better", f"{len(found.won)} poses found")
     return found
 
 
@@ -298,7 +331,7 @@ def _wrong_bounds(pairs: pd.DataFrame) -> Judged:
     old, new = (pairs[f"bound_violation_{side}"].gt(0) for side in ("base", "head"))
     found = _paired(pairs, old.sum(), new.sum(), new & ~old, old & ~new)
     if found.lost or found.won:
-        found.verdict = "worse" if found.lost else "better"
+        found.decide("worse" if found.lost else "better", found.detail)
     return found
 
 
@@ -307,10 +340,12 @@ def _certified(pairs: pd.DataFrame) -> Judged:
     old, new = (pairs[f"status_{side}"].eq("optimal") for side in ("base", "head"))
     lost = old & ~new
     found = _paired(pairs, old.sum(), new.sum(), lost, new & ~old)
-    steady = int((lost & ~pairs["status_head"].isin(TIMED)).sum())
+    elsewhere = pairs["machine_id_base"] != pairs["machine_id_head"]  # rounding can cost a box
+    excused = pairs["status_head"].isin(TIMED)
+    excused |= elsewhere & pairs["status_head"].isin(("node_limit", "assignment_limit"))
+    steady = int((lost & ~excused).sum())
     if steady:
-        found.verdict = "worse"
-        found.detail += f"; {steady} lost without a time or memory limit"
+        found.decide("worse", f"{found.detail}; {steady} lost without a limit that explains it")
     return found
 
 
@@ -325,8 +360,13 @@ def _counter(pairs: pd.DataFrame, name: str) -> Judged:
     if not differing:
         return Judged(old.sum(), new.sum(), "same")
     change = new.sum() - old.sum()
-    word = "worse" if change > 0 else "better" if change < 0 else "changed"
+    more, fewer = int((new > old).sum()), int((new < old).sum())
+    word = "changed" if change == 0 and more == fewer else "better"
+    if change > 0 or more > fewer:
+        word = "worse"
     why = f"{differing} of {len(pairs)} runs differ"
+    if (pairs["machine_id_base"] != pairs["machine_id_head"]).any():
+        word, why = "changed", f"{why}; from two machines, whose rounding can differ"
     lost, won = [*pairs["label"][new > old]], [*pairs["label"][new < old]]
     return Judged(old.sum(), new.sum(), word, why, np.nan, lost, won)
 

@@ -8,12 +8,12 @@ from dataclasses import asdict
 import numpy as np
 import pandas as pd
 import pytest
-from record_fixture import N_RUNS, about, table
+from record_fixture import N_RUNS, about, table, write_record
 from typer.testing import CliRunner
 
 from workflows import recording, verdict_text
 from workflows.__main__ import app
-from workflows.compare import compare, judge_records, sign_test
+from workflows.compare import compare, corrected, judge_records
 from workflows.records import SCHEMA_VERSION
 
 
@@ -133,8 +133,9 @@ def test_a_slower_machine_is_not_a_regression(base):
     assert "worse" not in verdicts(base, head).values()
     (found,) = [v for v in judged(base, head) if v.metric == "success"]
     assert found.detail == "12 runs at a limit excluded, from two machines"
-    head.loc[10, "status"] = "node_limit"
-    assert verdicts(base, head)["certified"] == "worse"
+    for status, word in (("node_limit", "unclear"), ("converged", "worse")):
+        head.loc[10, "status"] = status  # rounding may cost a box, but not more
+        assert verdicts(base, head)["certified"] == word
     assert verdicts(base, head.assign(status="time_limit"))["success"] == "not compared"
 
 
@@ -205,11 +206,88 @@ def test_other_content_of_an_instance_is_not_compared(base):
     assert verdicts(base, head) == {"runs": "not compared"}
 
 
-def test_sign_test_needs_enough_evidence():
-    assert sign_test(0, 0)[0] == "same"
-    assert sign_test(0, 3) == ("unclear", 0.25)
-    assert sign_test(0, 6)[0] == "worse"
-    assert sign_test(9, 1)[0] == "better"
+def test_tests_of_several_metrics_are_corrected(base):
+    """Six losses without a win are significant alone (p = 0.03), and not as one of two such tests."""
+    head = base.copy()
+    head.loc[:5, "success"] = False
+    found = judged(base, head)
+    assert corrected(found) == found
+    head.loc[:5, "objective"] *= 1.1
+    words = {v.metric: (v.verdict, v.detail) for v in corrected(judged(base, head))}
+    assert words["success"][0] == words["median objective"][0] == "unclear"
+    assert words["success"][1].endswith("p of at most 0.025 needed, as one of 2 tests")
+    head.loc[:6, "success"] = False  # 7 of 7: p = 0.016; the other one is then tested alone
+    words = {v.metric: v.verdict for v in corrected(judged(base, head))}
+    assert words["success"] == words["median objective"] == "worse"
+
+
+def test_tests_that_can_find_nothing_cost_the_others_nothing(base):
+    """A method loses everything while others differ in one run."""
+    old = pd.concat([base.assign(method=f"m{number}") for number in range(9)], ignore_index=True)
+    head = old.copy()
+    first = (old["method"] == "m0") & (old["trial"] < 6)
+    head.loc[first, "success"] = False
+    head.loc[(old["method"] != "m0") & (old["trial"] == 0), "rmse"] *= 1.001
+    found = {(v.method, v.metric): v.verdict for v in corrected(judged(old, head))}
+    assert found["m0", "success"] == "worse"
+    assert found["m1", "median rmse"] == "unclear"
+
+
+@pytest.mark.parametrize("kept", [1, 19])
+def test_missing_runs_are_a_regression(base, kept):
+    (found,) = [v for v in judged(base, base.iloc[:kept]) if v.metric == "runs"]
+    assert (found.verdict, found.detail) == ("worse", f"{N_RUNS - kept} runs are missing")
+    assert "worse" not in verdicts(base.iloc[:kept], base).values()
+
+
+def test_runs_with_another_input_are_named(base):
+    head = base.copy()
+    head.loc[3:, "instance_digest"] = "new"
+    (found,) = [v for v in judged(base, head) if v.metric == "runs"]
+    assert (found.verdict, found.detail) == (
+        "not compared",
+        f"{N_RUNS - 3} runs have another input",
+    )
+
+
+def test_an_experiment_that_is_missing_is_a_regression(base, tmp_path):
+    for version, names in (("v1", ("kept", "gone")), ("v2", ("kept",))):
+        for name in names:
+            write_record(tmp_path / version / name, base)
+    found = compare("v1", "v2", tmp_path)
+    assert found.loc[found["experiment"] == "gone", "verdict"].tolist() == ["worse"]
+    assert set(found.loc[found["experiment"] == "kept", "verdict"]) == {"same"}
+
+
+def test_more_work_in_most_runs_is_worse_whatever_the_sum(base):
+    head = base.assign(n_nodes=base["n_nodes"] + 1)
+    head.loc[5, "n_nodes"] = 0
+    assert head["n_nodes"].sum() < base["n_nodes"].sum()
+    assert verdicts(base, head)["n_nodes"] == "worse"
+
+
+@pytest.mark.parametrize(
+    ("name", "metric"),
+    [("n_assignments", "n_assignments"), ("gap_integral_boxes", "median gap integral")],
+)
+def test_a_number_that_is_no_longer_stated_is_a_regression(base, name, metric):
+    assert verdicts(base, base.assign(**{name: np.nan}))[metric] == "worse"
+    assert "worse" not in verdicts(base.assign(**{name: np.nan}), base).values()
+
+
+def test_what_a_rule_decides_needs_no_test(base):
+    head = base.copy()
+    head.loc[0, "bound_violation"] = 1e-3
+    head.loc[:5, "objective"] *= 1.1
+    words = {v.metric: v.verdict for v in corrected(judged(base, head))}
+    assert words["wrong bounds"] == words["median objective"] == "worse"
+
+
+def test_a_method_without_a_run_in_the_head_is_a_regression(base):
+    both = pd.concat([base, base.assign(method="gone")])
+    (found,) = [v for v in judged(both, base) if v.method == "gone"]
+    assert (found.verdict, found.detail) == ("worse", "the method is missing")
+    assert all(v.method != "gone" or v.verdict == "not compared" for v in judged(base, both))
 
 
 @pytest.fixture
@@ -217,7 +295,8 @@ def history(base, tmp_path):
     versions = {
         "v1": base, "same": base, "old": base, "broken": pd.DataFrame({"a": [1], "b": [2]}),
         "worse": base.assign(n_nodes=base["n_nodes"] + 1),
-        "elsewhere": base.assign(instance_digest="new"),
+        "elsewhere": base.assign(instance_digest="new"), "fewer": base.iloc[1:],
+        "other": base.assign(method="new"),
     }  # fmt: skip
     for version, runs in versions.items():
         folder = tmp_path / version / "demo"
@@ -233,9 +312,11 @@ def history(base, tmp_path):
         ("same", 0, "no regression"),
         ("worse", 1, "1 regression"),
         ("", 2, "HEAD not given; use `make compare BASE=… HEAD=…`"),
-        ("none", 2, "known: broken, elsewhere, old, same, v1, worse"),
+        ("none", 2, "known: broken, elsewhere, fewer, old, other, same, v1, worse"),
         ("broken", 2, "column 'run_id' is missing"),
         ("elsewhere", 2, "share no instance"),
+        ("fewer", 1, "1 regression"),
+        ("other", 1, "1 regression"),
         ("old", 2, "run and record the experiment again at commit abc123"),
     ],
 )
