@@ -13,6 +13,13 @@ include: "workflows/rules/common.smk"
 
 report: "workflows/captions/workflow.rst"  # of `snakemake --report`, see workflows/rules/common.smk
 
+# Snakemake's timers for its rate of jobs would delay its end by a second.
+onsuccess:
+    cancel_timers()
+
+onerror:
+    cancel_timers()
+
 rule all:
     input:
         f"{VIEW}/report/index.html",

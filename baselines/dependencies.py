@@ -13,12 +13,22 @@ and start child processes.
 from __future__ import annotations
 
 import ast
+import atexit
+import contextlib
 import functools
+import hashlib
+import json
 import re
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+from dcreg.files import write_text
+
 PACKAGES = ("baselines", "dcreg")  # those that a method may import
+_STORE = Path(__file__).parent / "__pycache__" / "imports.json"
+_Found = tuple[Sequence[tuple[int, str, str]], Sequence[str]]
+_MOST_STORED = 5000  # files; then the store begins anew
 _FILE_NAMES = re.compile(r"(\*/)?[A-Za-z][\w*-]*\.\w+")
 
 
@@ -36,15 +46,17 @@ def files_behind(
     packages : sequence of str
         Those whose files count.
     """
-    counted: set[Path] = set()
-    followed: set[Path] = set()
+    file_of = functools.cache(functools.partial(_file_of, checkout=checkout))  # for this call only
+    around: set[Path] = set()
+    reached: set[Path] = set()
     waiting = list(roots)
     while waiting:
         path = waiting.pop()
-        counted.add(path)
-        if path.suffix not in (".py", ".pyi") or path in followed:
+        if path in reached:
             continue
-        followed.add(path)
+        reached.add(path)
+        if path.suffix not in (".py", ".pyi"):
+            continue
         state = path.stat()
         imports, texts = _read(path, state.st_mtime_ns, state.st_size)
         near = (file for text in texts for file in path.parent.glob(text))
@@ -57,11 +69,11 @@ def files_behind(
                 module = ".".join([*parts, module] if module else parts)
             if module.partition(".")[0] not in packages:
                 continue
-            inner = _file_of(f"{module}.{name}", checkout) or _file_of(module, checkout)
-            if inner is not None:
+            inner = file_of(f"{module}.{name}") or file_of(module)
+            if inner is not None and inner not in reached:
                 waiting.append(inner)
-                counted |= set(_packages_around(inner, checkout))
-    return counted
+                around.update(_packages_around(inner, checkout))
+    return reached | around
 
 
 def _file_of(module: str, checkout: Path) -> Path | None:
@@ -77,26 +89,61 @@ def _packages_around(path: Path, checkout: Path) -> Iterator[Path]:
 
 
 @functools.cache
-def _read(path: Path, *_state: int) -> tuple[set[tuple[int, str, str]], set[str]]:
+def _read(path: Path, *_state: int) -> _Found:
     """Return imports (level, module, name) and strings that may name files, kept while `_state` lasts."""
+    source = path.read_bytes()
+    key = hashlib.sha256(source).hexdigest()
+    stored = _stored()
+    if key not in stored:
+        stored[key] = _found_in(ast.parse(source, str(path)))
+    return stored[key]
+
+
+def _found_in(tree: ast.AST) -> _Found:
     imports, texts = set(), set()
-    for node in _nodes(ast.parse(path.read_text(encoding="utf-8"), str(path))):
+    for node in _nodes(tree):
         if isinstance(node, ast.Import):
             imports |= {(0, alias.name, "") for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             imports |= {(node.level, node.module or "", alias.name) for alias in node.names}
         elif isinstance(node, ast.Constant) and _FILE_NAMES.fullmatch(str(node.value)):
             texts.add(str(node.value))
-    return imports, texts
+    return sorted(imports), sorted(texts)
+
+
+@functools.cache
+def _stored() -> dict[str, _Found]:
+    """Return what earlier processes found, by the digest of a file: to parse all files takes long."""
+    try:
+        content = json.loads(_STORE.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        content = {}
+    is_valid = content.get("by") == _version() and len(content["found"]) <= _MOST_STORED
+    stored: dict[str, _Found] = content["found"] if is_valid else {}
+    atexit.register(_store, stored, len(stored))
+    return stored
+
+
+def _store(stored: dict[str, _Found], known: int) -> None:
+    """Write what was found if it is more than what was known."""
+    if len(stored) > known and not sys.dont_write_bytecode:
+        text = json.dumps({"by": _version(), "found": stored})
+        with contextlib.suppress(OSError):
+            write_text(_STORE, text)
+
+
+def _version() -> str:
+    """Return the digest of this file, which decides what is found."""
+    return hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
 
 
 def _nodes(tree: ast.AST) -> Iterator[ast.AST]:
     """Yield all nodes of a file except those that only type checkers read."""
-    for node in ast.iter_child_nodes(tree):
+    waiting: list[ast.AST] = [tree]
+    while waiting:
+        node = waiting.pop()
+        yield node
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            for other in node.orelse:
-                yield other
-                yield from _nodes(other)
+            waiting += node.orelse
         else:
-            yield node
-            yield from _nodes(node)
+            waiting += ast.iter_child_nodes(node)

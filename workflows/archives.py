@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from workflows import CHECKOUT, UserError, records
 from workflows.integrity import digest
+from workflows.journal import Key, as_lines, key_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,7 +26,6 @@ ARCHIVES = CHECKOUT / "reports" / "archive"
 CHECKSUMS, RUNS, TRACES = "checksums.sha256", "runs.parquet", "traces.parquet"
 FACTS = "archive.json"
 REUSED = ("finished", "limited")  # outcomes; a failed run is tried again
-Key = tuple[str, str, str]
 
 
 class ArchiveError(UserError):
@@ -117,7 +117,7 @@ def archived(method: str) -> dict[Key, dict[str, Any]]:
     found: dict[Key, dict[str, Any]] = {}
     for folder in folders():
         for row in _rows(folder, method):
-            found[row["run_id"], row["instance_digest"], row["fingerprint"]] = row
+            found[key_of(row)] = row
     return found
 
 
@@ -166,24 +166,12 @@ def _rows(folder: Path, method: str) -> Iterator[dict[str, Any]]:
         return
     ids = set(runs["run_id"])
     events = pd.read_parquet(folder / TRACES, filters=[("run_id", "in", ids)])
-    shown = [name for name in records.RAW_TRACES if name not in ("run_id", "instance_id")]
     # several experiments may have the same run
-    histories = {
-        place: _plain(part[shown])
-        for place, part in events.groupby(["experiment", "run_id"], sort=False)
-    }
-    for row in _plain(runs):
-        yield {**row, "trace": histories.get((row.pop("experiment"), row["run_id"]), [])}
+    for experiment, part in runs.groupby("experiment", sort=False):
+        own = events[events["experiment"] == experiment]
+        yield from as_lines(part.drop(columns="experiment"), own)
 
 
 @functools.cache
 def _checked(folder: Path) -> None:
     check(folder)
-
-
-def _plain(table: Any) -> list[dict[str, Any]]:
-    """Return the rows without their missing values."""
-    return [
-        {name: value for name, value in row.items() if value == value and value is not None}
-        for row in table.to_dict("records")
-    ]

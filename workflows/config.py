@@ -33,7 +33,7 @@ class LimitSettings(Part):
     # Of the whole worker, including its libraries; below 100 none could start.
     memory_mb: Annotated[int, Field(ge=100, le=10**8)] = 2048
     nodes: Annotated[int, Field(gt=0, le=10**15)] | None = None
-    # Of methods that solve exact assignments: a measure of work that no machine and no language changes.
+    # Of methods that solve exact assignments: a measure of work, whatever machine and language.
     assignments: Annotated[int, Field(gt=0, le=10**15)] | None = None
     safety_s: Seconds | None = (
         None  # replaces time_s for methods that stop at the limit `assignments`

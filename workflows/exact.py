@@ -37,6 +37,7 @@ REASONS = {
     "code": "the code of the method differs",
     "limit": "hit the time or memory limit",
     "random": "not deterministic, as its card states",
+    "machine": "from another machine, whose rounding can differ",
     "others": "relative to another run, which differs",
     "unexplained": "unexplained",
 }
@@ -137,6 +138,7 @@ def _reasons(differs: pd.DataFrame, a: pd.DataFrame, b: pd.DataFrame) -> pd.Seri
         "code": differs["fingerprint"],
         "limit": a["is_timed"] | b["is_timed"],
         "random": a["is_random"] | b["is_random"],
+        "machine": a["machine_id"] != b["machine_id"],
         "others": ~by_itself & neighbour,
     }
     reasons = np.select(list(conditions.values()), list(conditions), "unexplained")

@@ -85,12 +85,12 @@ def with_oracle(instance: Instance, truth: Truth, outliers: float) -> Instance:
 
 
 def content_digest(instance: Instance) -> str:
-    """Hash everything in an instance that a solver receives."""
-    low, high = instance.scale_range
-    numbers = np.array([instance.n_inliers, low, high, instance.noise_bound, instance.seed], float)
+    """Hash everything in an instance that a solver receives, up to rounding."""
+    whole = np.array([instance.n_inliers, instance.seed])
+    numbers = whole, np.array(instance.scale_range), np.array([instance.noise_bound])
     pairs = () if instance.oracle_pairs is None else (instance.oracle_pairs,)
     shared = (instance.matches[name] for name in sorted(instance.matches))
-    return digest_arrays(instance.source, instance.target, numbers, *pairs, *shared)
+    return digest_arrays(instance.source, instance.target, *numbers, *pairs, *shared)
 
 
 def write_problems(path: Path, problems: Iterable[Problem]) -> None:

@@ -19,6 +19,7 @@ import typer
 
 from workflows import UserError
 from workflows.cli import user_errors
+from workflows.journal import Key, as_lines, key_of, lines_of
 from workflows.stages.worker import COUNTERS
 
 if TYPE_CHECKING:
@@ -38,10 +39,6 @@ class Found(NamedTuple):
 
     row: dict[str, Any]
     place: Path
-
-    @property
-    def key(self) -> tuple[str, str, str]:
-        return self.row["run_id"], self.row["instance_digest"], self.row["fingerprint"]
 
 
 @dataclass(frozen=True)
@@ -79,20 +76,15 @@ class Source:
             self.folder / archives.TRACES,
             filters=[wanted[0], ("run_id", "in", set(runs["run_id"]))],
         )
-        yield from _rows(runs, events, path)
+        yield from _started(runs, events, path)
 
     def _journalled(self, folder: Path) -> Iterator[Found]:
         import pandas as pd
 
-        from workflows.integrity import opened
-
         known = set()
-        for path in sorted(folder.glob("*.journal.jsonl")):
-            for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-                if row := opened(line):
-                    found = Found(row, path)
-                    known.add(found.key)
-                    yield found
+        for path, row in lines_of(folder):
+            known.add(key_of(row))
+            yield Found(row, path)
         # a run that was taken from an archive is in no journal
         for path in sorted(folder.glob("*.parquet")):
             trace = path.with_suffix(".trace.parquet")
@@ -101,7 +93,7 @@ class Source:
             runs = pd.read_parquet(path)
             keys = zip(runs["run_id"], runs["instance_digest"], runs["fingerprint"], strict=True)
             if len(rest := runs[[key not in known for key in keys]]):
-                yield from _rows(rest, pd.read_parquet(trace), path)
+                yield from _started(rest, pd.read_parquet(trace), path)
 
 
 @dataclass
@@ -213,22 +205,10 @@ def _settings(runs: pd.DataFrame) -> dict[str, tuple[str, str]]:
     }
 
 
-def _rows(runs: pd.DataFrame, events: pd.DataFrame, place: Path) -> Iterator[Found]:
-    """Yield rows of tables in the form of a journal."""
-    from workflows import records
-
-    shown = [name for name in records.RAW_TRACES if name not in ("run_id", "instance_id")]
-    histories = {run: _plain(part[shown]) for run, part in events.groupby("run_id", sort=False)}
-    for row in _plain(runs[~runs["status"].isin(NOT_STARTED)]):
-        yield Found({**row, "trace": histories.get(row["run_id"], [])}, place)
-
-
-def _plain(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the rows without their missing values."""
-    return [
-        {str(name): value for name, value in row.items() if value == value}
-        for row in table.to_dict("records")
-    ]
+def _started(runs: pd.DataFrame, events: pd.DataFrame, place: Path) -> Iterator[Found]:
+    """Yield the runs of tables that a journal would have."""
+    for row in as_lines(runs[~runs["status"].isin(NOT_STARTED)], events):
+        yield Found(row, place)
 
 
 class _Seen(NamedTuple):
@@ -249,9 +229,9 @@ def _merge_experiment(
     machines: dict[str, Found] = {}
     instances: list[dict[Any, dict[str, _Seen]]] = [{} for _ in sources]
     for method in dict.fromkeys(name for source in sources for name in source.methods):
-        joined: dict[tuple[str, str, str], Found] = {}
+        joined: dict[Key, Found] = {}
         for source, seen in zip(sources, instances, strict=True):
-            own = {found.key: found for found in source.runs(method)}
+            own = {key_of(found.row): found for found in source.runs(method)}
             settings = source.methods.get(method, ("", ""))
             _note_instances(method, own.values(), seen, is_shared=_shares_instances(*settings))
             for key, found in own.items():
@@ -318,8 +298,9 @@ def _check_instances(sources: Sequence[dict[Any, dict[str, _Seen]]]) -> None:
                     raise MergeError(
                         f"{first.place} and {second.place}: instance {what[0]} has instance_digest "
                         f"{first.digest!r} (run {first.run_id}) and {second.digest!r} (run "
-                        f"{second.run_id}), because its data or code differs; leave one source out, or "
-                        "run its part again with the data and code of the other"
+                        f"{second.run_id}), because its data or code, or the rule of the digest, "
+                        "differs; leave one source out, or run its part again with the data and code "
+                        "of the other"
                     )
 
 

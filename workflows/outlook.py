@@ -14,9 +14,9 @@ from baselines import registry
 from dcreg.status import Status
 from workflows.archives import archived
 from workflows.compose import QUICK, ConfigError
-from workflows.config import Experiment, MethodSettings, load
+from workflows.config import Experiment, MethodSettings, Selection, load
+from workflows.journal import journalled
 from workflows.stages.plan import Plan, PlannedRun, expand
-from workflows.stages.solve import journalled
 
 Times = dict[tuple[str, str, str], list[float]]  # seconds by method, model and test
 
@@ -119,9 +119,12 @@ def times_of(
 
 
 def _quick_part(plan: Plan) -> Iterator[Plan]:
-    """Yield the plan of the experiment's quick part, if it has one."""
+    """Yield the plan of the methods in the experiment's quick part, if it has one."""
     with suppress(ConfigError):
-        yield expand(load(f"{plan.config}{QUICK}"))
+        quick = load(f"{plan.config}{QUICK}")
+        known = {method.name for method in quick.methods}
+        if shared := [method.name for method in plan.methods if method.name in known]:
+            yield expand(quick, Selection(methods=shared))
 
 
 def duration(seconds: float) -> str:

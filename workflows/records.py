@@ -64,7 +64,7 @@ PLAN: dict[str, Column] = {
 RAW: dict[str, Column] = {
     "run_id": Column(str, PLAN["run_id"].meaning, True),
     "instance_id": Column(str, PLAN["instance_id"].meaning, True),
-    "instance_digest": Column(str, "hash of the content that the solver received", True),
+    "instance_digest": Column(str, "hash of what the solver received, up to rounding", True),
     "n_source": Column(int, "points of the source"),
     "n_target": Column(int, "points of the target"),
     "n_inliers": Column(

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from baselines import registry
 from baselines.contract import Baseline, Instance, Solution
-from workflows import CHECKOUT, UserError, archives, records
+from workflows import CHECKOUT, UserError, archives, provenance, records
 from workflows.config import Experiment, load, origin, search_next_to
 from workflows.instances import content_digest
 from workflows.stages.generate import instance_of
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SAME, DIFFERENT = "same", "different"
+ROUNDING = "the stored run is from another machine, and other rounding can change its counters"
 
 
 class Stored(NamedTuple):
@@ -160,7 +161,9 @@ def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: Plann
     if are_equal(one, other):
         return "not compared: one of the runs hit the time or memory limit"
     names = [name for name in {**one, **other} if one.get(name) != other.get(name)]
-    return f"{DIFFERENT}: {', '.join(names)}"
+    here = provenance.machine_card()["machine_id"]
+    reason = "" if stored.get("machine_id", here) == here else f"; {ROUNDING}"
+    return f"{DIFFERENT}: {', '.join(names)}{reason}"
 
 
 def _stored(run_id: str, results: Path) -> Stored | None:

@@ -182,6 +182,8 @@ def stops_near_a_limit_on_assignments(method: Candidate, model: str) -> None:
         in_time = found.status is not Status.TIME_LIMIT and found.T_target_source is not None
         require(in_time, f"status {found.status!r} with limits.assignments = {limit}")
         counts.append(found.counters["n_assignments"])
+    begun = f"{counts[0]} assignments with a limit of 1; the limit also holds for initial poses"
+    require(counts[0] <= searches * MOST_OF_A_STEP, begun)
     most = counts[0] + searches * 300 + MOST_OF_A_STEP
     require(counts[1] <= most, f"{counts[1]} assignments with a limit of 300; stop at the limit")
     if found.status is Status.ASSIGNMENT_LIMIT:

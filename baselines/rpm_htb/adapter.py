@@ -50,4 +50,4 @@ class Adapter(EitherSearch):
         return [BOUNDS[part](space, roots, threads) for part in self.parts]
 
     def make_rotation(self, space: Rotation3D, threads: int) -> Bounding:
-        return rotation_alone(space, threads)
+        return rotation_alone(space, threads, self.options["incumbents"] == "fit")

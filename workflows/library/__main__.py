@@ -63,10 +63,26 @@ def prove(
 
 @app.command()
 @user_errors
+def reprove(names: Names = None, limit: Limit = 60.0) -> None:
+    """Make and check again all proofs that are too large to be stored; exit code 1 if a bound is lost."""
+    from workflows.library.choose import chosen
+    from workflows.library.solve import reprove as make_again
+
+    is_complete = True
+    for line, holds in make_again(chosen(names), limit):
+        print(line if holds else f"FAULT: {line}", flush=True)
+        is_complete = is_complete and holds
+    raise typer.Exit(int(not is_complete))
+
+
+@app.command()
+@user_errors
 def run(
     method: Annotated[str, typer.Argument(help="A method of `make baselines`.")] = "dcreg",
     names: Names = None,
-    limit: Limit = 10.0,
+    limit: Annotated[
+        float, typer.Option(help="Wall time per problem, in seconds.", min=0.1)
+    ] = 10.0,
 ) -> None:
     """Run a method on the problems and print a table of its verdicts."""
     from workflows.library.choose import chosen

@@ -27,7 +27,7 @@ from data.library.record import (
 )
 from data.library.submit import stored_proof
 from dcreg.assignment.descent import polish
-from workflows.library.solve import ANSWERS, Answer, read_answer
+from workflows.library.solve import ANSWERS, OWN, Answer, read_answer
 
 
 class Author(TypedDict):
@@ -120,7 +120,7 @@ def _with_bound(
     if not bound or bound <= record.lower_bound * (1 + LAST_DIGITS):
         return record
     path = answers / f"{problem.id}.npz"
-    command = f"python -m workflows.library prove {problem.id} proof.npz"
+    command = f"{OWN} {problem.id} proof.npz"
     proof = stored_proof(
         problem, path, dcreg.certificate.read(path), answer.check_s or 0.0, command, proofs
     )

@@ -4,6 +4,7 @@ import functools
 import logging
 import os
 import sys
+import threading
 from pathlib import Path
 
 sys.path.insert(0, workflow.basedir)
@@ -66,6 +67,12 @@ def measured():
 def solve_needs(method, chunk):
     limits = EXPERIMENT.limits_of(EXPERIMENT.method(method))
     return measured().job(method, limits, PLAN.chunk(chunk))
+
+
+def cancel_timers():
+    for thread in threading.enumerate():
+        if isinstance(thread, threading.Timer):
+            thread.cancel()
 
 
 # These need no resources of a cluster; `fetch` needs a network.

@@ -121,8 +121,9 @@ class Plan:
                 yield from self._runs_of(method, chunk)
 
     def _runs_of(self, method: MethodSettings, chunk: Chunk) -> Iterator[PlannedRun]:
+        identity = method_identity(self.experiment, method)
         for instance in chunk.instances:
-            run_id = run_identity(self.experiment, method, instance.instance_id)
+            run_id = run_identity(identity, instance.instance_id)
             yield PlannedRun(run_id, chunk, method, instance)
 
     @property
@@ -145,9 +146,12 @@ class Plan:
         return next(chunk for chunk in self.chunks if chunk.name == name)
 
 
-def run_identity(experiment: Experiment, method: MethodSettings, instance_id: str) -> str:
-    """Return the ``run_id``: a hash of everything in the config that can change the result."""
-    return digest([instance_id, method_identity(experiment, method)])
+def run_identity(identity: dict[str, Any], instance_id: str) -> str:
+    """Return the ``run_id``: a hash of everything in the config that can change the result.
+
+    `identity` is that of the method.
+    """
+    return digest([instance_id, identity])
 
 
 def method_identity(experiment: Experiment, method: MethodSettings) -> dict[str, Any]:

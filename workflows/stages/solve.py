@@ -13,7 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from baselines import registry
 from baselines.contract import Instance
@@ -26,7 +26,8 @@ from workflows.archives import archived
 from workflows.config import Experiment, MethodSettings
 from workflows.instances import content_digest, read_problems, read_truths, with_oracle
 from workflows.integrity import opened, sealed
-from workflows.stages.plan import run_identity
+from workflows.journal import appending, journalled, key_of
+from workflows.stages.plan import method_identity, run_identity
 from workflows.stages.progress import Reporter
 from workflows.stages.sandbox import Sandbox
 
@@ -98,6 +99,7 @@ def _rows(
         "parallel_jobs": float(os.environ.get("DCREG_PARALLEL_JOBS", 1)),
     }
     finished = {**archived(method.name), **journalled(runs_path.parent)}
+    settings = method_identity(experiment, method)
     log = runs_path.with_suffix(".log")
     journal_path = runs_path.with_suffix(".journal.jsonl")
     limits = experiment.limits_of(method)
@@ -105,12 +107,12 @@ def _rows(
     with (
         reporter,
         Sandbox(method, limits, log, reporter.alive) as sandbox,
-        _appending(journal_path) as journal,
+        appending(journal_path) as journal,
     ):
         for instance in instances:
             since = time.perf_counter()
             identity = {
-                "run_id": run_identity(experiment, method, instance.instance_id),
+                "run_id": run_identity(settings, instance.instance_id),
                 "instance_id": instance.instance_id,
                 "instance_digest": content_digest(instance),
                 "n_source": len(instance.source),
@@ -119,7 +121,7 @@ def _rows(
                 "seed": instance.seed,
                 **constant,
             }
-            if row := finished.get(_key(identity)):
+            if row := finished.get(key_of(identity)):
                 yield row
                 continue
             reporter.begin(instance.instance_id)
@@ -172,27 +174,3 @@ def bound_ratio(lower: float | None, upper: float | None, exact: float) -> float
     if upper < 0.0:
         return 1.0 if lower >= upper else None
     return 1.0 if upper <= exact else proven_share(lower, upper)
-
-
-def _key(row: dict[str, Any]) -> tuple[str, str, str]:
-    """Return what must be equal for an old result to be used again."""
-    return row["run_id"], row["instance_digest"], row["fingerprint"]
-
-
-def journalled(folder: Path) -> dict[tuple[str, str, str], dict[str, Any]]:
-    """Return the finished runs of a method by run_id, input and fingerprint; the last one counts."""
-    rows = {}
-    for path in sorted(folder.glob("*.journal.jsonl")):
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-            if entry := opened(line):
-                rows[_key(entry)] = entry
-    return rows
-
-
-def _appending(path: Path) -> IO[str]:
-    """Open the journal for new lines, also after one that was cut off."""
-    cut_off = path.is_file() and not path.read_bytes().endswith(b"\n") and path.stat().st_size > 0
-    stream = path.open("a", encoding="utf-8")
-    if cut_off:
-        stream.write("\n")
-    return stream
