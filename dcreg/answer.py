@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from dcreg import text
-from dcreg._version import __version__
-from dcreg.files import as_json, write_text
+from dcreg.files import Document
 
 
-class Answer(abc.ABC):
+class Answer(Document):
     """The answer to a question about poses; ``print(answer)`` shows it.
 
     Attributes
@@ -43,18 +41,6 @@ class Answer(abc.ABC):
     @abc.abstractmethod
     def entries(self) -> Iterator[tuple[str, str]]:
         """Yield names and values of the summary, the answer first."""
-
-    @abc.abstractmethod
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-
-    def to_json(self, **more: Any) -> str:
-        """Return `to_dict`, the version and `more` keys (such as file names) as JSON."""
-        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
-
-    def write_json(self, path: str | Path, **more: Any) -> None:
-        """Write `to_json` to a file."""
-        write_text(path, self.to_json(**more) + "\n")
 
     def __str__(self) -> str:
         return text.listing(list(self.entries()))

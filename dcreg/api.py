@@ -70,9 +70,8 @@ def register(
         The absolute tolerance, in squared units of the target. A search with a sample reduces it in
         proportion to the number of pairs. Default and minimum: the rounding error of the objective,
         ``n_inliers * (1e-7 * RMS radius of the target)^2`` for moderate coordinates. A fit is exact if
-        its objective is at most 100 times this error. If a fit is not exact and the gap closes only
-        because `abs_gap` exceeds the upper bound while the lower bound is 0, the status is
-        ``converged``.
+        its objective is at most 100 times this error. If the fit is not exact, and `abs_gap` alone
+        closes the gap while the lower bound is 0, the status is ``converged``.
     tol : float, optional
         `abs_gap` as a length, the RMS residual per pair in units of the target:
         ``abs_gap = n_inliers * tol^2``. Only one of the two can be given.
@@ -83,7 +82,8 @@ def register(
     node_limit : int, optional
         Maximum number of boxes bounded per stage. A round of up to a thousand boxes is completed.
     memory_limit_mb : float, optional
-        Memory of the open boxes. Up to three times as much is in use while their number grows.
+        Limit on the memory of the open boxes. While their number grows, up to three times as much can be
+        in use.
     max_rms : float, optional
         Decide whether a pose matches the `n_inliers` pairs with at most this RMS residual, in units of
         the target. The search ends as ``converged`` when such a pose is found, and as ``refuted`` when it
@@ -123,7 +123,7 @@ def register(
             "n_inliers: weights need a number of pairs; run once without weights, and give the number "
             "that the result states"
         )
-    from dcreg.driver.auto import register_auto  # a known number does without it
+    from dcreg.driver.auto import register_auto  # only if needed
 
     return register_auto(Problem(source, target, 1, *rest), limits, SolveOptions.of(options))
 
@@ -249,7 +249,8 @@ def register_matches(
         not certified.
     certify : bool, optional
         False: the pose only, with lower bound 0 and status ``converged``. True: search to the time limit
-        for a proof. Default, for ``correspondences``: end without a proof that takes more than seconds.
+        for a proof. Default, for ``correspondences``: end after about 25 seconds at most
+        if there is no proof.
     rel_gap, abs_gap : optional
         Tolerances on the gap of the cost, as in `dcreg.register`. Like `node_limit`, they affect only the
         certificate.
@@ -283,7 +284,7 @@ def register_matches(
     >>> result.n_inliers, np.round(result.translation, 6).tolist()
     (20, [3.0, 3.0, 3.0])
     """
-    # the other functions do without these kernels
+    # kernels that only this function needs
     from dcreg.driver.matching import register_match_problem
     from dcreg.families.matches.problem import MatchProblem
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from dcreg.assignment.objective import is_large
-from dcreg.assignment.sparse import nearest_pairs, tree_of
+from dcreg.assignment.sparse import nearest_pairs
 from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED
 from dcreg.problem import (
     Problem,
@@ -22,9 +22,9 @@ from dcreg.problem import (
     exact_objective,
     median_spacing,
     rms_radius,
-    rounding_error,
     typical_radius,
 )
+from dcreg.problem.trees import tree_of
 from dcreg.result import Result
 from dcreg.status import Status
 
@@ -33,13 +33,14 @@ _MUCH_LARGER = 100.0
 FAR = 10.0  # RMS radius divided by typical radius, from which points count as far
 _OTHER_SIZE = 10.0
 TOO_MANY_PAIRS = "pairs are probably too many"  # part of the line of `loose_pairs`
+TOO_FEW_PAIRS = "pairs are too few"  # ... of `few_pairs`
 _VAGUE = 5.0  # objective divided by its lower bound; it is below 3 if there are enough near pairs
 _ROUGH = 1.01  # objective divided by upper bound; a larger ratio is more than rounding
 _CLOSE = 1.5  # objective ratio of the runner-up; lower for 45 of 45 wrong and 18 of 135 right poses
 _LOOSE = 2.0  # RMSE in point spacings of the target; lower for one object and the right n_inliers
 _FEW_PAIRS = 20  # more pairs hardly fit by chance, except on surfaces
 _MORE_PAIRS = "Match more pairs (n_inliers), of distinct points"
-_NO_NUMBER = "No other n_inliers helps"
+_NO_NUMBER = "Changing n_inliers does not help"
 _REMEDY = (
     "Use downsample=200 (--downsample 200): it searches with a sample of the points and refines the "
     "pose on all points"
@@ -72,9 +73,9 @@ def advice(problem: Problem) -> Iterator[str]:
     for name, points in (("source", problem.source), ("target", problem.target)):
         if FAR * typical_radius(points) < rms_radius(points):
             yield (
-                f"warning: {name}: some points are far from all others, so that the RMS radius is more "
-                f"than {FAR:g} times the median distance from the middle. Bounds are weak with them. "
-                "Remove them first if they are invalid."
+                f"warning: {name}: some points are far from all others (the RMS radius is more than "
+                f"{FAR:g} times the median distance from the centre). They make the bounds weak. Remove "
+                "them first if they are invalid."
             )
     radii = rms_radius(problem.source), rms_radius(problem.target)
     if problem.model == "rigid3d" and max(radii) > 2.0 * min(radii):
@@ -159,8 +160,8 @@ def nothing_proven(case: Case) -> str | None:
     if result.status is Status.STOPPED:
         return f"{known}, because the search was stopped"
     return (
-        f"{known}. Allow more time, use fewer points, or choose a mode that closes the gap (see the page "
-        "Modes of the manual)"
+        f"{known}. Increase time_limit, use fewer points, or choose another mode (see the page Modes of "
+        "the manual)"
     )
 
 
@@ -213,9 +214,9 @@ def distant_pairs(case: Case) -> str | None:
     if result.objective <= _VAGUE * lowest:
         return None
     return (
-        f"the pairs cost {result.objective:.3g}, and any pairs at this pose at least {lowest:.3g}: some "
-        f"pairs connect distant points, because there are fewer than {result.n_inliers} near pairs, and "
-        "better ones may exist. Try a smaller n_inliers (`dcreg sweep` tries several)"
+        f"objective={result.objective:.3g} is far above {lowest:.3g}, a lower bound at this pose: fewer "
+        f"than {result.n_inliers} pairs are near, so some connect distant points, and better pairs may "
+        "exist. Try a smaller n_inliers (`dcreg sweep` tries several)"
     )
 
 
@@ -266,43 +267,16 @@ def few_pairs(case: Case) -> str | None:
     is_few = problem.dim <= k <= _FEW_PAIRS and 2 * k < min(
         len(problem.source), len(problem.target)
     )
-    if not is_few or _log_chance_fits(case) < 0.0:
+    if not is_few:
+        return None
+    from dcreg.problem.chance import log_chance_fits  # few results need it
+
+    if log_chance_fits(problem, k, case.result.objective) < 0.0:
         return None
     return (
-        f"{k} pairs are too few for a meaningful pose: unrelated clouds of these sizes may fit as well "
+        f"{k} {TOO_FEW_PAIRS} for a meaningful pose: unrelated clouds of these sizes may fit as well "
         "by chance. Match more pairs (a larger n_inliers; `dcreg sweep` tries several)"
     )
-
-
-def _log_chance_fits(case: Case) -> float:
-    """Return the log of the expected number of fits as good as this one between unrelated clouds.
-
-    The expected number is the number of choices of k pairs times the probability that one choice fits.
-    The points of unrelated clouds are independent and uniform in a cube with the standard deviation of
-    the smaller cloud. The k target points of a choice fit if they lie in a tube around all images of the
-    source points. The cross-section of the tube is a ball whose squared radius is the objective.
-    """
-    problem, k, d = case.problem, case.result.n_inliers, case.problem.dim
-    n, m = len(problem.source), len(problem.target)
-    variance = min(rms_radius(problem.source), rms_radius(problem.target)) ** 2 / d
-    if variance == 0.0:
-        return -math.inf
-    low, high = problem.scale_range
-    n_linear = d * (d - 1) // 2 + (low < high)  # parameters of rotation and scale
-    rotations = 8.0 * math.pi**2 if d == 3 else 2.0 * math.pi
-    # volume of all images: translations within the cube; rotations and scales weighted by how far they
-    # move the points
-    images = 0.5 * d * (math.log(k) + math.log(12.0)) + 0.5 * n_linear * math.log(2.0 * k)
-    images += math.log(rotations) + (math.log(math.log(high / low)) if low < high else 0.0)
-    free = d * k - d - n_linear
-    rounding = rounding_error(problem.source, problem.target, k)
-    squared_radius = (case.result.objective + rounding) / variance
-    ball = 0.5 * free * math.log(math.pi * squared_radius) - math.lgamma(0.5 * free + 1.0)
-    chosen = math.lgamma(n + 1) - math.lgamma(n - k + 1) - math.lgamma(k + 1)
-    chosen += math.lgamma(m + 1) - math.lgamma(m - k + 1)
-    if problem.candidates is not None:
-        chosen += k * math.log(problem.candidates.mean())
-    return chosen + images + ball - 0.5 * d * k * math.log(12.0)
 
 
 def loose_pairs(case: Case) -> str | None:
@@ -346,9 +320,9 @@ def ambiguous(case: Case) -> str | None:
     if other is None or other.objective_ratio >= _CLOSE or case.undetermined is not None:
         return None
     percent = 100.0 * (other.objective_ratio - 1.0)
-    more = f"only {percent:.2g} % higher" if percent >= 0.1 else "no higher"
+    more = f"an objective only {percent:.2g} % higher" if percent >= 0.1 else "no higher objective"
     return (
-        f"the objective of another pose, {other.difference} relative to this one, is {more}: "
+        f"another pose, {other.difference} relative to this one, has {more}: "
         "the matched pairs hardly distinguish the two. The shape may be symmetric, the noise large, or "
         "the number of pairs wrong (`dcreg sweep` tries several). Look at both poses (`runner_up` of the "
         "result)"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import json
 import math
 import os
@@ -11,6 +12,8 @@ from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
+
+from dcreg._version import __version__
 
 
 @contextmanager
@@ -75,3 +78,19 @@ def plain(value: Any, digits: int | None = None) -> Any:
             }
         case _:
             return value
+
+
+class Document(abc.ABC):
+    """What can be written as JSON."""
+
+    @abc.abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+
+    def to_json(self, **more: Any) -> str:
+        """Return `to_dict`, the version and `more` keys (such as file names) as JSON."""
+        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
+
+    def write_json(self, path: str | Path, **more: Any) -> None:
+        """Write `to_json` to a file."""
+        write_text(path, self.to_json(**more) + "\n")

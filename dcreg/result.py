@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from dcreg import text
-from dcreg._version import __version__
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
-from dcreg.files import as_json, plain, write_text
+from dcreg.files import Document, plain
 from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED
 from dcreg.problem import InputError, OpenDirection, rotation_angle_deg, scale_of
 from dcreg.result_parts import (
@@ -30,7 +29,7 @@ from dcreg.status import Status
 
 
 @dataclass(frozen=True, repr=False)
-class Result:
+class Result(Document):
     """The result of `dcreg.register`, in the coordinates and units of the clouds.
 
     ``print(result)`` shows everything except the pairs.
@@ -222,14 +221,6 @@ class Result:
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "stages": [stage.to_dict() for stage in self.stages]})
 
-    def to_json(self, **more: Any) -> str:
-        """Return `to_dict`, the version and `more` keys (such as file names) as JSON."""
-        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
-
-    def write_json(self, path: str | Path, **more: Any) -> None:
-        """Write `to_json` to a file."""
-        write_text(path, self.to_json(**more) + "\n")
-
     def write_certificate(self, path: str | Path) -> None:
         """Write the leaf boxes to an .npz file, which `dcreg.verify` checks.
 
@@ -314,11 +305,11 @@ class Result:
         status = self.status
         if status is Status.OPTIMAL:
             return f"optimal: certified for the {scope}; {self._proven_share()}"
-        if status is Status.REFUTED:
+        if status is Status.REFUTED and self.max_rms is not None:
             rms = float(np.sqrt(self.lower_bound / self.n_inliers))
             return (
                 f"refuted: no {scope} matches {text.count(self.n_inliers, 'pair')} with an RMS residual "
-                f"of at most {self.max_rms:g}; proven: it is at least {rms:.4g}"
+                f"of at most {self.max_rms:g}; proven: it is at least {_above(rms, self.max_rms)}"
             )
         if status is not Status.CONVERGED:
             later = f"; certified for the {scope}, but a later stage did not finish"
@@ -335,3 +326,9 @@ class Result:
         if self.is_exact:
             return "the fit is exact up to rounding"
         return f"the lower bound is {text.percent(self.bound_ratio)} of the upper bound"
+
+
+def _above(value: float, limit: float) -> str:
+    """Return a value above a limit with enough digits to show it."""
+    texts = (f"{value:.{digits}g}" for digits in range(4, 17))
+    return next((shown for shown in texts if float(shown) > limit), f"{value!r}")

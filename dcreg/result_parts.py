@@ -247,10 +247,16 @@ class ChosenNumber:
             return "not compared with others"
         step = -(-len(self.compared) // _SHOWN)
         shown = ", ".join(f"{k}: {rms:.3g}" for k, rms in self.compared[::-step][::-1])
-        is_clear = self.low == self.high
-        near = "no other number fits" if is_clear else f"{self.low} to {self.high} pairs fit"
+        near = f"{self.low} to {self.high} pairs fit nearly as well"
+        if self.low == self.high:  # fewer pairs may fit better than the smallest number compared
+            is_least = self.low == self.compared[0].n_inliers
+            near = (
+                "the smallest number compared"
+                if is_least
+                else "no other number fits nearly as well"
+            )
         cut = "; not all poses and numbers were compared" * self.is_cut
-        return f"{near} nearly as well{cut}\nRMS residual by number of pairs: {shown}"
+        return f"{near}{cut}\nRMS residual at the pose of the choice, by number of pairs: {shown}"
 
 
 @dataclass(frozen=True)

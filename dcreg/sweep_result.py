@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from dcreg import text
-from dcreg._version import __version__
-from dcreg.diagnostics import TOO_MANY_PAIRS
-from dcreg.files import as_json, plain, whole_file, write_text
+from dcreg.diagnostics import TOO_FEW_PAIRS, TOO_MANY_PAIRS
+from dcreg.files import Document, plain, whole_file
 from dcreg.result import Result
 from dcreg.status import Status
 
@@ -28,7 +27,7 @@ _NO_VALUE = "-"  # in the table
 
 
 @dataclass(frozen=True, repr=False)
-class SweepResult:
+class SweepResult(Document):
     """Optima for several `n_inliers` in ascending order. ``print(found)`` shows their table.
 
     Attributes
@@ -54,8 +53,8 @@ class SweepResult:
         """The number of pairs with the minimum fractional RMSE of the final pose: not proven.
 
         The fractional RMSE is the RMSE divided by the cube of the number of pairs (after Phillips, Liu
-        and Tomasi 2007). Results with a warning about too many pairs are excluded. None if the minimum is
-        at an end of the sweep, or if pairs were chosen greedily because the time limit was hit.
+        and Tomasi 2007). Results with a warning about too many or too few pairs are excluded. None if the
+        minimum is at an end of the sweep, or if the time limit made the choice of pairs greedy.
         """
         if any(result.is_greedy for result in self.results):
             return None
@@ -64,8 +63,11 @@ class SweepResult:
         last = self.results[-1]
         floor = _ROUNDING * np.sqrt(last.gap_tol / last.n_bounded)
         fraction = np.maximum(rmse, floor) / k**_FRACTION_POWER
-        loose = [any(TOO_MANY_PAIRS in line for line in r.warnings) for r in self.results]
-        at = int(np.argmin(np.where(loose, np.inf, fraction)))
+        wrong = [
+            any(TOO_MANY_PAIRS in line or TOO_FEW_PAIRS in line for line in r.warnings)
+            for r in self.results
+        ]
+        at = int(np.argmin(np.where(wrong, np.inf, fraction)))
         return int(k[at]) if 0 < at < len(k) - 1 else None
 
     @property
@@ -99,14 +101,6 @@ class SweepResult:
             "table": self.rows(),
             "results": [result.to_dict() for result in self.results],
         }
-
-    def to_json(self, **more: Any) -> str:
-        """Return `to_dict`, the version and `more` keys (such as file names) as JSON."""
-        return as_json({**self.to_dict(), **more, "dcreg_version": __version__})
-
-    def write_json(self, path: str | Path, **more: Any) -> None:
-        """Write `to_json` to a file."""
-        write_text(path, self.to_json(**more) + "\n")
 
     def write_csv(self, path: str | Path) -> None:
         """Write `rows`, each with its final pose (T00, T01, ...); a missing value is an empty field."""

@@ -9,9 +9,10 @@ import numpy as np
 
 from dcreg.assignment.alternation import follow_nearest
 from dcreg.assignment.objective import objective
-from dcreg.assignment.sparse import nearest_pairs, tree_of
+from dcreg.assignment.sparse import nearest_pairs
 from dcreg.problem import Problem, exact_objective
 from dcreg.problem.geometry import apply_pose
+from dcreg.problem.trees import tree_of
 from dcreg.search import Budget
 
 if TYPE_CHECKING:

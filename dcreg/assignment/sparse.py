@@ -14,6 +14,7 @@ import numpy as np
 from dcreg.assignment.kernels.duals import assignment_duals
 from dcreg.assignment.kernels.sparse import greedy_matching, penalised_matching
 from dcreg.jit import NEVER
+from dcreg.problem.trees import new_tree, tree_of
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -111,17 +112,6 @@ def sparse_matching(
         if exact or not prove or stop[0] or is_last or is_short:
             return Matching(best.value, best.pairs, best.exact, spent)
         neighbours = min(4 * neighbours, m)
-
-
-def tree_of(points: np.ndarray) -> cKDTree:
-    """Return the search tree of the points. SciPy is loaded here: small problems do without it.
-
-    Many queries lie far outside the overlap. Cells that are halved in the middle answer them in half the
-    time of cells of equally many points.
-    """
-    from scipy.spatial import cKDTree
-
-    return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
 def _near(
@@ -321,7 +311,7 @@ def _completed(
         rows, columns = _left_over(col_of, len(target))
         rows = rows[np.argsort(nearest[rows], kind="stable")[: _SPARE * missing]]
         wanted = min(_FIRST_NEIGHBOURS, len(columns))
-        at, costs = _near(tree_of(target[columns]), points[rows], wanted, stop)
+        at, costs = _near(new_tree(target[columns]), points[rows], wanted, stop)
         chosen = _greedy(at, costs, len(columns), missing)
         col_of[rows] = np.where(chosen >= 0, columns[chosen], -1)
     missing = k - int((col_of >= 0).sum())

@@ -77,7 +77,7 @@ def register(
 
     Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C, or
     no answer to --max-rms (the best pose is still written); 4 an output file could not be written;
-    6 refuted (--max-rms: proven that no pose fits so well).
+    6 refuted (it is proven that no pose meets --max-rms).
     """
     paths = {**outputs.paths, **files.paths}
     weight_paths = weights.source_weights_path, weights.target_weights_path

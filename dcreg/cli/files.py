@@ -47,7 +47,7 @@ class BatchFiles:
     Attributes
     ----------
     out_path : OUT.csv
-        Write a row for each pair: status, pose, bounds or error. It is written whole after each pair.
+        Write a row for each pair: status, pose, bounds or error. The file is rewritten after each pair.
     graph_path : OUT.g2o
         Write the poses as a pose graph for g2o. In 2D it needs --scale-range 1 1.
     """

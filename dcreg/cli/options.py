@@ -217,14 +217,15 @@ class Search:
     node_limit : N
         Maximum number of boxes of each search; the last round of boxes may exceed it.
     memory_limit_mb : MB
-        Maximum memory of the open boxes of a search. Default: no limit.
+        Maximum memory of the open boxes of a search; while their number grows, up to three times as
+        much can be in use. Default: no limit.
     threads : N
-        Number of threads. They change the result only if the search times out.
+        Number of threads. They change the result only if elapsed time ends a step of the search.
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
-        Search for a proof to the limits. By default, searches in mode full and searches of samples end
-        after a few seconds without a proof.
+        Search for a proof to the limits. By default, searches in mode full (in a sweep, only those of
+        samples) end after a few seconds without a proof, unless --node-limit is set.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.
@@ -267,15 +268,16 @@ class Poses:
     Attributes
     ----------
     init : POSE
-        Initial pose: a matrix as text or .npy, JSON written by dcreg, or one pose of KITTI or TUM. The
-        limits below are relative to this pose. Without limits, it only gives a first upper bound.
+        Initial pose: a matrix as text or .npy, JSON written by dcreg, or one line in KITTI or TUM format.
+        The limits below are relative to this pose. Without limits, it only gives a first upper bound,
+        and certify rejects it.
     axis : X,Y,Z
         Only rotations about this axis (3D), in coordinates of the target: 0,0,1 for level scans.
     max_angle : DEG
         Maximum angle of the rotation relative to the initial pose; without --init, of the rotation.
     max_translation : D
-        Maximum displacement of the centroid of the source, in units of the target, from its place at the
-        initial pose; without --init, in the file.
+        Maximum displacement of the centroid of the source, in units of the target, from its position at
+        --init, or else from its position in the file.
     rotation : switch
         Search rotations and translations, or only translations.
     """

@@ -88,7 +88,7 @@ def _solved(task: Task) -> Row:
         "certificate_scope": result.certificate_scope,
         **{f"T{i}{j}": _text(x) for (i, j), x in np.ndenumerate(result.T_target_source)},
         **{name: str(n) for name, n in clouds.n_dropped.items()},
-        "warning": result.warnings[0] if result.warnings else "",
+        "warning": " | ".join(result.warnings),
         "covariance": _covariance_text(result.covariance),
     }
 

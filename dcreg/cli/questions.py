@@ -30,7 +30,7 @@ def certify(
     files: AnswerFiles,
     quiet: Quiet = False,
 ) -> int:
-    """Judge a POSE of SOURCE from any program: optimal, improvable or open.
+    """Judge a given POSE, from any program, as optimal, improvable or open.
 
     The answer is the objective of the pose, a lower bound on the objective of every
     pose, and a verdict. Optimal: no pose is better by more than the tolerance, which
@@ -42,7 +42,7 @@ def certify(
     Parameters
     ----------
     pose : POSE
-        A matrix as text or .npy, JSON written by dcreg, or one pose of KITTI or TUM.
+        A matrix as text or .npy, JSON written by dcreg, or one line in KITTI or TUM format.
     n_inliers : K
         Pairs to match, as for `dcreg register`. Required.
     """
@@ -86,8 +86,8 @@ def alternatives(
         A pose is nearly as good if its objective is at most X times that of the best pose.
     min_displacement : D
         Two poses are distinct if the RMS displacement of the source points between them exceeds D, in
-        units of the target. Default: three RMS residuals of the best pose, at least 1 % of the RMS radius
-        of the target.
+        units of the target. Default: three times the RMS residual of the best pose, but
+        at least 1 % of the RMS radius of the target.
     max_others : N
         Stop when N other poses are found.
     """

@@ -10,6 +10,9 @@ alternate. A smaller power of k compares the poses, and the local minima of each
 number. It is also the initial guess of the search that follows, which is that of `dcreg.register` with
 this number. No step of the choice is proven.
 
+Few pairs of small clouds nearly always fit well. There, the expected number of fits as good by chance
+compares the poses.
+
 The residuals are those of one-to-one pairs, or, for many points, the distances of source points to their
 nearest target points.
 """
@@ -19,15 +22,16 @@ from __future__ import annotations
 import abc
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from dcreg.assignment.objective import objective
-from dcreg.assignment.sparse import greedy_count, tree_of
+from dcreg.assignment.sparse import greedy_count
 from dcreg.driver.checks import norms_only
+from dcreg.driver.fractional import POWER_OF_NEIGHBOURS, POWER_OF_PAIRS, Fit
 from dcreg.driver.modes import choose_mode, find_mode, space_of
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Setup, solve
@@ -40,21 +44,19 @@ from dcreg.problem import (
     apply_pose,
     exact_objective,
 )
+from dcreg.problem.chance import log_chance_fits
+from dcreg.problem.trees import tree_of
 from dcreg.result import Result
 from dcreg.result_parts import ChosenNumber, ComparedNumber, Stage
 from dcreg.runner_up import DISTINCT
 from dcreg.search import Budget, Event, Interrupted
 
-# Powers of the fractional RMSE. At a pose, the minimum is where the residuals of further pairs begin to
-# exceed sqrt(1 + 2 * power) times the RMS of the others: 2.6 times for pairs as in a sweep, and twice for
-# neighbours, because scans of different parts drift apart slowly. Between poses the smaller power
-# decides; with the larger one, clutter that fits badly wins by its number.
-POWER_OF_PAIRS, POWER_OF_NEIGHBOURS, POWER_OF_POSES = 3.0, 1.5, 1.5
 # Shares of the largest possible number of pairs: those with local searches (one for many points, of which
 # a search takes longer), and those that are compared.
 PROBES, PROBES_OF_MANY = (0.45, 0.3, 0.18), (0.45,)
 SHARP = 1.5  # ratio of the next fractional RMSE to the best one; above, the last probe is left out
 SMALLEST_SHARE, SHARE_STEP = 0.1, 0.1
+MANY_POINTS = 64  # of the smaller cloud, from which few pairs hardly fit by chance
 MANY_PAIRS = 40_000  # point pairs from which nearest distances replace one-to-one pairs
 MAX_NUMBERS = 400  # among which the choice is made
 MAX_BETWEEN = 40  # numbers tried between the neighbours of the best one
@@ -154,46 +156,6 @@ def choice_warnings(
         )
 
 
-@dataclass(frozen=True)
-class _Fit:
-    """A pose and the numbers that are compared at it.
-
-    Attributes
-    ----------
-    pose : (d+1, d+1) array
-    numbers : (G,) array
-        In ascending order, all of what is compared: pairs, or source points with a neighbour.
-    rms : (G,) array
-        RMS residuals, in units of the target.
-    fractional : (G,) array
-        Fractional RMSE of each number.
-    best : int
-        Index of the best number: of the minima of the fractional RMSE, the one with the smallest value.
-    value : float
-        That of the best number, by which poses are compared; the smallest one is the best.
-    """
-
-    pose: np.ndarray
-    numbers: np.ndarray
-    rms: np.ndarray
-    fractional: np.ndarray
-    best: int
-    value: float
-
-    @classmethod
-    def of(
-        cls, pose: np.ndarray, numbers: np.ndarray, rms: np.ndarray, rounding: float, power: float
-    ) -> _Fit:
-        """Return the fit of these residuals; below `rounding`, all are equally good."""
-        least = np.maximum(rms, rounding)
-        fractional, values = least / numbers**power, least / numbers**POWER_OF_POSES
-        # beyond the true pairs the fractional RMSE increases, but far beyond it can decrease again
-        padded = np.pad(fractional, 1, constant_values=np.inf)
-        is_minimum = (fractional <= padded[:-2]) & (fractional <= padded[2:])
-        best = int(np.where(is_minimum, values, np.inf).argmin())
-        return cls(pose, numbers, rms, fractional, best, float(values[best]))
-
-
 class _Choice(abc.ABC):
     """The search for the number of pairs; all poses are those of the input.
 
@@ -211,7 +173,7 @@ class _Choice(abc.ABC):
         self.rounding = float(np.sqrt(exact_objective(*clouds, most) / most))
         self.numbers = np.array([problem.n_inliers for problem in setup.problems])
         self.n_assignments = 0
-        self.fits: list[_Fit] = []
+        self.fits: list[Fit] = []
 
     def nearest(self, shares: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return the indices of the numbers nearest to shares of the largest one."""
@@ -247,7 +209,7 @@ class _Choice(abc.ABC):
         runner_up = self._runner_up(fit, fits)
         return at, ChosenNumber(distinct, low, high, runner_up, self.budget.is_over), fit.pose
 
-    def _runner_up(self, fit: _Fit, fits: Sequence[_Fit]) -> int | None:
+    def _runner_up(self, fit: Fit, fits: Sequence[Fit]) -> int | None:
         """Return the number of pairs of a clearly different pose that is nearly as good, or None."""
         moments, distinct = Moments.of(self.problem.source), DISTINCT * self.setup.frame.unit
         others = [each for each in fits if moments.displacement(each.pose, fit.pose) > distinct]
@@ -286,7 +248,7 @@ class _Choice(abc.ABC):
             return False
         return bool(fit.fractional[fit.best + 1] > SHARP * fit.fractional[fit.best])
 
-    def _followed(self, pose: np.ndarray) -> _Fit:
+    def _followed(self, pose: np.ndarray) -> Fit:
         """Alternate the best number at a pose and the best pose for it while the value falls."""
         best = self.fit(pose)
         for _ in range(MAX_ROUNDS):
@@ -297,15 +259,15 @@ class _Choice(abc.ABC):
         return best
 
     @abc.abstractmethod
-    def fit(self, pose: np.ndarray) -> _Fit:
+    def fit(self, pose: np.ndarray) -> Fit:
         """Compare the numbers at a pose."""
 
     @abc.abstractmethod
-    def refined(self, fit: _Fit) -> np.ndarray:
+    def refined(self, fit: Fit) -> np.ndarray:
         """Return a better pose for the best number."""
 
     @abc.abstractmethod
-    def number(self, fit: _Fit) -> tuple[float, float]:
+    def number(self, fit: Fit) -> tuple[float, float]:
         """Return the number of pairs, and the number of pairs for one of the numbers compared."""
 
 
@@ -321,21 +283,21 @@ class _ByPairs(_Choice):
         normalised = [setup.normalised(at, budget) for at in self.grid.tolist()]
         self.spaces: list[Any] = [space_of(setup.mode, each) for each in normalised]
 
-    def fit(self, pose: np.ndarray) -> _Fit:
+    def fit(self, pose: np.ndarray) -> Fit:
         theta = self.spaces[0].parameter(self.setup.frame.normalised_pose(pose))
         values = np.array([space.objective(theta)[0] for space in self.spaces])
         self.n_assignments += len(values)
         k = self.numbers[self.grid]
         rms = self.setup.frame.unit * np.sqrt(np.maximum(values, 0.0) / k)
-        return _Fit.of(pose, k, rms, self.rounding, POWER_OF_PAIRS)
+        return self._fit(pose, k, rms)
 
-    def refined(self, fit: _Fit) -> np.ndarray:
+    def refined(self, fit: Fit) -> np.ndarray:
         frame, space = self.setup.frame, self.spaces[fit.best]
         theta, _, spent = space.refine(space.parameter(frame.normalised_pose(fit.pose)))
         self.n_assignments += spent
         return frame.pose(space.pose(theta))
 
-    def number(self, fit: _Fit) -> tuple[float, float]:
+    def number(self, fit: Fit) -> tuple[float, float]:
         """Return the best number between the neighbours of the best one of those compared."""
         low, high = (
             self.grid[max(0, fit.best - 1)],
@@ -353,8 +315,19 @@ class _ByPairs(_Choice):
         self.n_assignments += len(values)
         k = k[: len(values)]
         rms = np.sqrt(np.maximum(values, 0.0) / k)
-        between = _Fit.of(fit.pose, k, rms, self.rounding, POWER_OF_PAIRS)
-        return float(k[between.best]), 1.0
+        return float(k[self._fit(fit.pose, k, rms).best]), 1.0
+
+    def _fit(self, pose: np.ndarray, k: np.ndarray, rms: np.ndarray) -> Fit:
+        """Return the fit of these residuals; below the rounding error, all are equally good."""
+        rms, problem = np.maximum(rms, self.rounding), self.problem
+        values = None
+        if min(len(problem.source), len(problem.target)) < MANY_POINTS:
+            chance = [
+                log_chance_fits(problem, *each) for each in zip(k.tolist(), k * rms**2, strict=True)
+            ]
+            # the ratio of two values of all pairs is that of their residuals
+            values = np.exp(np.array(chance) / (problem.dim * problem.n_inliers))
+        return Fit.of(pose, k, rms, POWER_OF_PAIRS, values)
 
 
 class _ByNeighbours(_Choice):
@@ -370,19 +343,19 @@ class _ByNeighbours(_Choice):
         shares = np.arange(SMALLEST_SHARE, 1.0 + 0.25 * SHARE_STEP, 0.5 * SHARE_STEP)
         self.grid = np.unique(np.maximum(1, (shares * len(self.some)).round().astype(int)))
 
-    def fit(self, pose: np.ndarray) -> _Fit:
+    def fit(self, pose: np.ndarray) -> Fit:
         if self.budget.is_over:
             raise Interrupted
         squares = np.sort(self.tree.query(apply_pose(pose, self.some))[0] ** 2)
         rms = np.sqrt(np.cumsum(squares)[self.grid - 1] / self.grid)
-        return _Fit.of(pose, self.grid, rms, self.rounding, POWER_OF_NEIGHBOURS)
+        return Fit.of(pose, self.grid, np.maximum(rms, self.rounding), POWER_OF_NEIGHBOURS)
 
-    def refined(self, fit: _Fit) -> np.ndarray:
+    def refined(self, fit: Fit) -> np.ndarray:
         distances, columns = self.tree.query(apply_pose(fit.pose, self.some))
         rows = np.argsort(distances, kind="stable")[: self.grid[fit.best]]
         return self.problem.fit(self.some[rows], self.problem.target[columns[rows]])
 
-    def number(self, fit: _Fit) -> tuple[float, float]:
+    def number(self, fit: Fit) -> tuple[float, float]:
         """Return how many one-to-one pairs are as near as the best number of neighbours."""
         distances = np.sort(self.tree.query(apply_pose(fit.pose, self.some))[0])
         near = self.grid[fit.best]

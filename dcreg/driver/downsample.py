@@ -14,10 +14,10 @@ from dcreg import text
 from dcreg.assignment.descent import polish
 from dcreg.assignment.large import descend, greedy_seconds, near_value, quick_pairs
 from dcreg.assignment.objective import Matched, is_large, objective, quick_objective
-from dcreg.assignment.sparse import tree_of
 from dcreg.driver.modes import LARGE_PAIRS, LARGE_SAMPLE, NORM_PAIRS
 from dcreg.problem import InputError, Problem, representative_points
 from dcreg.problem.geometry import exact_objective, rounding_error, sampled_pairs
+from dcreg.problem.trees import tree_of
 from dcreg.result import Result, Sample, Stage
 from dcreg.runner_up import find_runner_up
 from dcreg.search import Budget
@@ -132,19 +132,18 @@ def refined(
     searched: Problem,
     budget: Budget,
     known: Matched | None = None,
-    init: np.ndarray | None = None,
+    initial: Sequence[np.ndarray] = (),
 ) -> Result:
     """Return the result for all points from that of a sample.
 
-    The pose, the runner-up, the initial pose `init` of the user and the pose of the `known` pairs are
-    refined, the best of them first. The runner-up of the result then refers to all points.
+    The pose, the runner-up, the `initial` poses and that of the `known` pairs are refined, the best
+    first. The runner-up of the result then refers to all points.
     """
     _LOGGER.info("the search of the sample has ended; its pose is refined on all points")
     began = budget.elapsed()
     T = result.T_target_source
     others = [] if result.runner_up is None else [result.runner_up.T_target_source]
-    if init is not None:
-        others.append(init)
+    others += initial
     if known is not None:
         others.append(known.T_target_source)
     by_neighbours = is_large(len(problem.source), len(problem.target)) and not budget.is_over

@@ -33,16 +33,11 @@ from dcreg.driver.warm_up import warm_up_mode, warm_up_region
 from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, OF_SAMPLE, START_BOXES
-from dcreg.problem import (
-    Frame,
-    InputError,
-    Problem,
-    checked_pose,
-)
+from dcreg.problem import Frame, InputError, Moments, Problem, checked_pose
 from dcreg.problem.geometry import exact_objective, rounding_error
 from dcreg.result import Result, Stage, Trace
 from dcreg.result_parts import MemoryEstimate
-from dcreg.runner_up import find_runner_up
+from dcreg.runner_up import DISTINCT, find_runner_up
 from dcreg.search import Budget, Event
 from dcreg.status import Status
 
@@ -246,8 +241,8 @@ class Finish:
         if self.setup.is_sampled:
             searched = self.setup.searched[self.at]
             self._report_refinement(np.inf)
-            init = self.setup.options.init
-            result = refined(result, problem, searched, self.budget, self.known, init)
+            initial = self._initial(result.T_target_source)
+            result = refined(result, problem, searched, self.budget, self.known, initial)
             self._report_refinement(result.objective)
         result = self._exact(result)
         is_sample = result.downsampled is not None
@@ -260,6 +255,21 @@ class Finish:
             clouds = problem.source, problem.target
             result = with_uncertainty(result, *clouds, weights, has_scale=has_scale)
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
+
+    def _initial(self, T: np.ndarray) -> list[np.ndarray]:
+        """Return the initial poses that compete with `T` on all points: the user's and the search's.
+
+        That of the search is left out if it differs little from the others.
+        """
+        given, started = self.setup.options.init, self.normalised.init
+        poses = [] if given is None else [given]
+        if started is not None:
+            pose = self.normalised.frame.pose(started)
+            moments = Moments.of(self.setup.problems[0].source)
+            apart = DISTINCT * self.normalised.frame.unit
+            if all(moments.displacement(pose, other) > apart for other in (T, *poses)):
+                poses.append(pose)
+        return poses
 
     def _exact(self, result: Result) -> Result:
         """Return an exact fit as optimal on all points: 0 is a lower bound of every sum of squares."""

@@ -47,8 +47,6 @@ class Space(abc.ABC):
         RMS motion of the source per unit step along each axis.
     scope : str
         What a certificate over this space refers to.
-    fixes_rotation : bool
-        Whether a parameter determines the pose; if not, a search for the rotation must follow.
     n_descents : int
         Local searches for the first incumbent: enough for a good upper bound, cheap next to the search.
     min_gain : float
@@ -61,7 +59,6 @@ class Space(abc.ABC):
 
     axis_weights: np.ndarray
     scope: str
-    fixes_rotation: bool = True
     n_descents: int
     min_gain: float
     ends: Sequence[tuple[np.ndarray, float]] = ()
@@ -214,8 +211,9 @@ class Space(abc.ABC):
     ) -> tuple[np.ndarray, float, int]:
         """Return the best result of the local searches from `starts`.
 
-        At least one local search is begun, even if the time is over. After `n_descents` local searches, a
-        value of at most `enough` ends the list of starts. Only values below `known` are reported.
+        At least one local search is begun, even if the time is over or all assignments are spent. After
+        `n_descents` local searches, a value of at most `enough` ends the list of starts. Only values
+        below `known` are reported.
 
         Returns
         -------
@@ -228,7 +226,7 @@ class Space(abc.ABC):
         try:
             for tried, (theta, choosing) in enumerate(self.starts(budget), start=1):
                 spent += choosing
-                if best is not None and budget.is_over:
+                if best is not None and (budget.is_over or budget.spent(0, spent, 0.0)):
                     break
                 best = theta if best is None else best
                 theta, found, descending = self.refine(theta)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dcreg.problem.geometry import apply_pose
+from dcreg.problem.trees import tree_of
 
 # A direction is open if moving along it raises the mean squared distance to the target by less than this
 # share of the largest rise in any direction. With at least 200 points, shapes have 0.2 to 0.6 in their
@@ -191,9 +192,7 @@ def _motions(points: np.ndarray, has_scale: bool) -> np.ndarray:
 def _search(target: np.ndarray, queries: int) -> Nearest:
     """Return a function from points and a count to distances and rows of their nearest targets."""
     if queries * len(target) > _DENSE:
-        from scipy.spatial import cKDTree
-
-        tree = cKDTree(target)
+        tree = tree_of(target)
         return lambda points, count: _columns(*tree.query(points, k=count))
 
     def by_distances(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

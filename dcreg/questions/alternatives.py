@@ -188,8 +188,8 @@ def alternatives(
         A pose is nearly as good if its objective is at most this multiple of the best one; at least 1.
     min_displacement : float, optional
         Two poses are distinct if the RMS displacement of the source points between them exceeds this
-        length, in units of the target. Default: three RMS residuals of the best pose, at least 1 % of the
-        RMS radius of the target.
+        length, in units of the target. Default: three times the RMS residual of the best pose, but
+        at least 1 % of the RMS radius of the target.
     max_others : int
         The search ends when it has found this many other poses. A sphere has infinitely many.
     rel_gap, abs_gap, tol, node_limit, memory_limit_mb

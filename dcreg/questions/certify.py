@@ -108,10 +108,10 @@ class Certified(Answer):
             f"{self.objective:.6g} (RMS residual {rms:.6g} over {text.count(k, 'pair')})",
         )
         share = self.max_improvement / self.objective if self.objective > 0.0 else 0.0
-        yield (
-            "lower bound",
-            f"{self.lower_bound:.6g}: no pose lowers the objective by more than {_percent_above(share)}",
-        )
+        meaning = f"no pose lowers the objective by more than {_percent_above(share)}"
+        if share == 1.0:
+            meaning = "nothing is proven, because every sum of squares is at least 0"
+        yield "lower bound", f"{self.lower_bound:.6g}: {meaning}"
         if self.verdict != OPTIMAL:
             yield (
                 "best known pose",

@@ -48,7 +48,9 @@ class MaxInliers(Answer):
     at_least : int
         Number of pairs within the distance at `T_target_source`.
     at_most : int
-        No pose has more: proven.
+        No pose has more.
+    n_possible : int
+        What the numbers of points allow; a smaller `at_most` is proven.
     T_target_source : (d+1, d+1) array
     assignment : (at_least, 2) int array
         The pairs: source row and target row.
@@ -60,6 +62,7 @@ class MaxInliers(Answer):
     distance: float
     at_least: int
     at_most: int
+    n_possible: int
     T_target_source: np.ndarray
     assignment: np.ndarray
     tried: list[tuple[int, str]]
@@ -86,9 +89,11 @@ class MaxInliers(Answer):
         """The answer in a sentence."""
         if self.is_exact:
             return f"exactly {text.count(self.at_least, 'pair')} within {self.distance:g}: proven"
+        is_lower = self.at_most < self.n_possible
+        why = "proven" if is_lower else "the most that these points allow; no proof lowered it"
         return (
             f"{self.at_least} to {text.count(self.at_most, 'pair')} within {self.distance:g} (the upper "
-            "end is proven)"
+            f"end is {why})"
         )
 
     def entries(self) -> Iterator[tuple[str, str]]:
@@ -194,8 +199,9 @@ class _Bisection:
             unknown = max(unknown, len(self.best[1]))
         T, pairs = self.best
         return MaxInliers(
-            self.distance, len(pairs), refuted - 1, T, pairs, self.tried, self.budget.elapsed()
-        )
+            self.distance, len(pairs), refuted - 1, most, T, pairs, self.tried,
+            self.budget.elapsed(),
+        )  # fmt: skip
 
     def _solve(self, k: int) -> Status:
         """Decide whether k pairs can have an RMS residual of the distance; count at the pose found."""

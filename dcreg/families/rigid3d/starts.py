@@ -21,6 +21,7 @@ from dcreg.families.rigid3d.kernels import congruent as kernels
 from dcreg.families.starts import distinct, nearness_field
 from dcreg.jit import NEVER
 from dcreg.problem import rms_radius
+from dcreg.problem.trees import tree_of
 
 MAX_TARGETS = 300  # target points that form triples
 NEARLY_ALL = 400  # target points of which these have nearly all partners
@@ -250,12 +251,10 @@ def best_descents(
     (P, 4, 4) array
         At most `count`, best first.
     """
-    from scipy.spatial import cKDTree
-
     rng = np.random.default_rng(seed)
     sample = source[np.sort(rng.permutation(len(source))[:MAX_SAMPLE])]
     k = max(3, round(n_inliers * len(sample) / len(source)))
-    tree = cKDTree(target)
+    tree = tree_of(target)
     ends = [follow_nearest(sample, tree, T, k, fit_pairs) for T in poses]
     if not ends:
         return np.empty((0, 4, 4))

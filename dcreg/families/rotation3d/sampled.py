@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dcreg.assignment.descent import alternate
-from dcreg.assignment.sparse import nearest_pairs, sparse_matching, tree_of
+from dcreg.assignment.sparse import nearest_pairs, sparse_matching
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.translation3d.kernels.line import match_on_line
+from dcreg.problem.trees import new_tree, tree_of
 from dcreg.search import Budget, Event, Outcome, Tolerance
 from dcreg.status import Status
 
@@ -62,7 +63,7 @@ def search_sampled_rotation(
     began = budget.elapsed()
     few, some = spread_rows(source_shifted, _SAMPLE), spread_rows(source_shifted, _DESCENT_SAMPLE)
     tree = tree_of(target)
-    sparse_tree = tree_of(target[spread_rows(target, _SCORED_TARGETS)])
+    sparse_tree = new_tree(target[spread_rows(target, _SCORED_TARGETS)])
     share = n_inliers / len(source_shifted)
     grid = Rotation3D.grid(_CELLS_PER_AXIS)
     scores = np.full(len(grid), np.inf)
@@ -148,5 +149,5 @@ def _two_sided(
     k_back = _part(share * len(source) / len(target), len(back))
     k = _part(share, len(sample))
     _, there = nearest_pairs(sample @ rotation.T, tree, k)
-    _, here = nearest_pairs(back, tree_of(source @ rotation.T), k_back)
+    _, here = nearest_pairs(back, new_tree(source @ rotation.T), k_back)
     return max(there / k, here / k_back)

@@ -32,7 +32,6 @@ class Translation3D(FeatureSpace):
     """
 
     scope = NORM_TRANSLATION
-    fixes_rotation = False
     identity = np.zeros(3)
 
     axis_weights = np.ones(3)
