@@ -234,10 +234,11 @@ history: setup
 library: setup
 	@$(BIN)/python -m workflows.library run $(or $(SOLVER),dcreg) $(PROBLEMS) $(if $(LIMIT),--limit $(LIMIT))
 
-## library-check: check all poses of the library by two evaluators, and a sample of its proofs (ALL=1: all stored proofs)
+## library-check: check all poses of the library by two evaluators, and a sample of its proofs (ALL=1: every proof; those that are too large to be stored are made again)
 .PHONY: library-check
 library-check: setup
 	@$(BIN)/python -m data.library check $(if $(ALL),--all)
+	@$(if $(ALL),$(BIN)/python -m workflows.library reprove)
 
 ## library-page: build the page of the library in results/library/page
 .PHONY: library-page

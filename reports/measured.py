@@ -265,8 +265,16 @@ def _compared(one: pd.DataFrame, other: pd.DataFrame) -> list[str]:
     work = estimate(np.divide, one["n_assignments"], other["n_assignments"])
     return [
         str(len(one)), _change(gained), _shown(error), _shown(work),
-        decision(error, 1.0), decision(work, 1.0),
+        decision(error, 1.0), _decided_work(work, one, other),
     ]  # fmt: skip
+
+
+def _decided_work(work: tuple[float, float, float], one: pd.DataFrame, other: pd.DataFrame) -> str:
+    """Return the decision on a ratio of assignments; those of a run at a limit are a minimum."""
+    found = decision(work, 1.0)
+    cut = {"lower": one, "higher": other}.get(found)
+    is_open = cut is not None and (cut["outcome"] == "limited").any()
+    return f"open (limit; counts {found})" if is_open else found
 
 
 def effect_of_n_inliers(measured: Measured) -> Shown | None:

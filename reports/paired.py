@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 
 from reports.tables import Tables, is_right
-from workflows.compare import SAME, exact_p
+from workflows.compare import SAME
 from workflows.outcomes import attempted, comparable_times
+from workflows.significance import exact_p
 
 PLACE = ["test", "shape", "level", "trial"]
 COMPARED = ["model", "instance_id", "method", "run_id", "outcome", "success", "rmse", *PLACE]

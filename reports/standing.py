@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from reports.ledger.intervals import holm
 from reports.tables import Tables, is_right, share_interval
-from workflows.compare import exact_p
 from workflows.outcomes import attempted
+from workflows.significance import exact_p, holm
 
 ALL = "all tests"
 BEST, TIED, WORSE = "best", "tied", "worse"

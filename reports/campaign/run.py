@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -140,13 +140,9 @@ def collect(
     book, console = ledger(), Console()
     campaigns = {name: Campaign(name, directory) for name in names}
     end = time.monotonic() + 3600.0 * hours
-    for campaign in campaigns.values():
-        campaign.adopt()
-        rest = campaign.unfinished()
-        if rest.runs or (campaign.needs_path.is_file() and campaign.tables() is None):
-            _run(campaign, "continue", rest, end, cores, out, console)
-    while True:
-        ahead = _ahead(book, campaigns)
+    may_go_on = _finish_blocks(campaigns.values(), end, cores, out, console)
+    ahead = _ahead(book, campaigns)
+    while may_go_on:
         left_s = end - time.monotonic()
         fitting = [
             (name, option)
@@ -157,13 +153,28 @@ def collect(
             break
         name, option = fitting[0]
         option.needs.write(campaigns[name].needs_path)
-        if not _run(campaigns[name], option.claim, option.step, end, cores, out, console):
-            break
+        may_go_on = _run(campaigns[name], option.claim, option.step, end, cores, out, console)
+        ahead = _ahead(book, campaigns)
     for name, campaign in campaigns.items():
         out.mkdir(parents=True, exist_ok=True)
         campaign.times().cells.round(4).to_csv(out / f"{name}.times.csv")
     _print(console, book, campaigns, [option for _, option in ahead])
     return [option for _, option in ahead]
+
+
+def _finish_blocks(
+    campaigns: Iterable[Campaign], end: float, cores: int, out: Path, console: Console
+) -> bool:
+    """Finish the blocks of earlier calls; return whether all of them ended before `end`."""
+    for campaign in campaigns:
+        campaign.adopt()
+        rest = campaign.unfinished()
+        is_begun = campaign.needs_path.is_file() and campaign.tables() is None
+        if (rest.runs or is_begun) and not _run(
+            campaign, "continue", rest, end, cores, out, console
+        ):
+            return False
+    return True
 
 
 def _ahead(book: Ledger, campaigns: dict[str, Campaign]) -> list[tuple[str, Option]]:

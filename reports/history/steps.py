@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from workflows import recording
-from workflows.compare import Verdict, judge_records
+from workflows.compare import Verdict, corrected, judge_records
 from workflows.recording import Record
 
 Value = Callable[[pd.DataFrame], float]
@@ -81,6 +81,10 @@ def _sum(column: str) -> Value:
     return lambda runs: float(runs[column].sum(min_count=1))
 
 
+def _count(tell: Callable[[pd.DataFrame], pd.Series]) -> Value:
+    return lambda runs: float(tell(runs).sum())
+
+
 def _mean_log(column: str) -> Value:
     def value(runs: pd.DataFrame) -> float:
         known = runs.loc[runs[column] > 0, column]
@@ -97,9 +101,18 @@ def _certified(runs: pd.DataFrame) -> float:
 METRICS = {
     "success": Metric("success", "% of runs", "higher", _share("success", True)),
     "certified": Metric("certified", "% of runs", "higher", _certified),
+    "without pose": Metric(
+        "without pose", "runs", "lower", _count(lambda runs: runs["rmse"].isna())
+    ),
+    "wrong bounds": Metric(
+        "wrong bounds", "runs", "lower", _count(lambda runs: runs["bound_violation"] > 0)
+    ),
     "n_nodes": Metric("boxes", "sum", "lower", _sum("n_nodes")),
     "n_assignments": Metric("assignments", "sum", "lower", _sum("n_assignments")),
     "median rmse": Metric("RMSE", "median, target units", "lower", _median("rmse")),
+    "median objective": Metric(
+        "objective", "median, squared target units", "lower", _median("objective")
+    ),
     "median primal integral": Metric(
         "primal integral", "median, boxes", "lower", _median("primal_integral_boxes")
     ),
@@ -136,7 +149,7 @@ def _lines(records: dict[str, Record]) -> Iterator[tuple[str, list[Line]]]:
     verdicts = {
         (new, found.method, found.metric): found
         for old, new in pairwise(versions)
-        for found in judge_records("", records[old], records[new])
+        for found in corrected([*judge_records("", records[old], records[new])])
         if found.verdict in STEPS
     }
     for method in dict.fromkeys(name for each in records.values() for name in each.runs["method"]):

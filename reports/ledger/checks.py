@@ -16,6 +16,7 @@ import pandas as pd
 from reports.ledger import intervals
 from reports.ledger.finding import (
     LEAST,
+    SHARED,
     WORK,
     Finding,
     Parameters,
@@ -31,7 +32,6 @@ from reports.theme import words
 
 ROTATION = "depends on the rotation stage, which is a reconstruction"
 SHARES = ("success", "search_error")  # quantities of which a mean is a share
-SHARED = ["dataset", "shape", "trial"]  # identify the same trial at different levels
 # An error is low within this factor of the fit to the true pairs, or below this error above the floor.
 LOW_FACTOR, LOW_EXCESS = 1.1, 0.02
 

@@ -15,6 +15,7 @@ import pandas as pd
 from reports.ledger import intervals
 from reports.ledger.finding import (
     CUT,
+    SHARED,
     Finding,
     Parameters,
     Source,
@@ -48,9 +49,11 @@ def trend(source: Source, p: Parameters) -> Finding:
                         finding.miss(f"a second level of {test}")
                         continue
                     cut = part[CUT.get(quantity, "limited")].astype(bool)
-                    level = part["level"]
+                    level, trial = part["level"], part.groupby(SHARED).ngroup()
                     found, least, most = (
-                        _rank_correlation(level, part[quantity].mask(cut, np.inf), cut * order)
+                        _rank_correlation(
+                            level, part[quantity].mask(cut, np.inf), cut * order, trial
+                        )
                         for order in (0.0 * level, -level, level)
                     )
                     between = intervals.Extremes(least, most, intervals.TIME_OUTS)
@@ -61,12 +64,18 @@ def trend(source: Source, p: Parameters) -> Finding:
     return finding
 
 
-def _rank_correlation(level: pd.Series, work: pd.Series, then: pd.Series) -> intervals.Figure:
-    """Return the correlation of the ranks of the levels and of the work, ties ordered by `then`."""
+def _rank_correlation(
+    level: pd.Series, work: pd.Series, then: pd.Series, trial: pd.Series
+) -> intervals.Figure:
+    """Return the correlation of the ranks of the levels and of the work, ties ordered by `then`.
+
+    The levels of a trial share its pose, so only trials are independent.
+    """
     order = pd.Series(list(zip(work, then, strict=True)), work.index)
     y_ranks = order.map({key: at for at, key in enumerate(sorted(set(order)))}).rank()
     x, y = (ranks.to_numpy() - ranks.mean() for ranks in (level.rank(), y_ranks))
-    return intervals.of_means(_correlation, np.column_stack([x, y, x * y, x**2, y**2]))
+    terms = pd.DataFrame(np.column_stack([x, y, x * y, x**2, y**2]), index=level.index)
+    return intervals.of_means(_correlation, terms.groupby(trial).mean().to_numpy())
 
 
 def _correlation(means: np.ndarray) -> np.ndarray:

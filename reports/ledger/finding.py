@@ -27,6 +27,7 @@ GROUPING = ("test", "level")  # the default of ``by``
 WORK = ("time", "n_nodes", "n_assignments", "translation_time", "translation_nodes")
 # Quantity -> the least that it can be (`Experiment.runs`), and whether a limit cut it.
 LEAST = {"time": "translation_time"}
+SHARED = ["dataset", "shape", "trial"]  # identify the same trial at different levels
 CUT = {"translation_time": "translation_limited", "translation_nodes": "translation_limited"}
 OF_RIVAL = ("limited", "gap_tol", "translation_limited", "translation_time")
 # Quantity -> the one shown in the second column.

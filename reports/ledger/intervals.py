@@ -26,7 +26,7 @@ runs can be added until a claim is decided:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
@@ -337,19 +337,6 @@ def p_values(
     above, below = tails(threshold, _TIE_BELOW[side])
     above, below = 1.0 if falls else above, 1.0 if rises else below
     return (below, above) if side in ("below", "at_most") else (above, below)
-
-
-def holm(p_of: Sequence[float]) -> list[float]:
-    """Return the level of each comparison, which is decided if its p-value is at most this level."""
-    order = np.argsort(p_of, kind="stable")
-    levels = [0.0] * len(order)
-    stopped = None
-    for rank, index in enumerate(order):
-        level = LEVEL / (len(order) - rank) if stopped is None else stopped
-        levels[index] = level
-        if stopped is None and p_of[index] > level:
-            stopped = level
-    return levels
 
 
 def decide(on_it: float, on_the_other: float, level: float) -> str:

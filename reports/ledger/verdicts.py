@@ -14,6 +14,7 @@ from typing import Any
 from reports.ledger import intervals
 from reports.ledger.finding import Finding, Part
 from reports.ledger.intervals import LEVEL, MIN_INSTANCES, NOT, OPEN, REPRODUCED, TIME_OUTS
+from workflows.significance import holm
 
 FEW, QUICK_LIMIT, WIDE = "few", "limit", "wide"
 
@@ -132,7 +133,7 @@ def decide(findings: Sequence[Finding], *, quick: bool) -> list[list[Decided]]:
     family = [at for at, part in enumerate(parts) if not part.shown_only]
     p_values = [1.0 if barred[at] else min(p_of[at]) for at in family]
     levels = dict.fromkeys(range(len(parts)), LEVEL)
-    levels |= dict(zip(family, intervals.holm(p_values), strict=True))
+    levels |= dict(zip(family, holm(p_values, LEVEL), strict=True))
     decided = []
     for part, why, p, level in zip(parts, barred, p_of, levels.values(), strict=True):
         verdict = OPEN if why else intervals.decide(*p, level)
