@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from pydantic import field_validator
-from scipy.spatial import cKDTree
 
 from data.contract import Axis, Card, DataError, RawInstance, RecordedDataset
 from data.parameters import Length, Parameters, Points, parameters_of, place_of
@@ -103,6 +102,8 @@ class CloudPairs(RecordedDataset):
         T_true, scale_range = self._pose(pose_path)
         pairs = mutual_nearest(apply_pose(T_true, source), target, self.parameters.tolerance)
         if len(pairs) <= self.dim(shape):
+            from scipy.spatial import cKDTree  # takes long to load; a plan needs no points
+
             distance, _ = cKDTree(target).query(apply_pose(T_true, source))
             raise DataError(
                 f"{pose_path}: only {len(pairs)} points of the {len(source)} and {len(target)} lie "

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from dcreg.problem import farthest_point_order
 from dcreg.problem.geometry import fit_pose
@@ -37,6 +36,8 @@ def voxel_downsample(points: np.ndarray, size: float) -> np.ndarray:
 
 def mutual_nearest(a: np.ndarray, b: np.ndarray, tolerance: float) -> np.ndarray:
     """Return pairs (i, j) of mutual nearest neighbours at most `tolerance` apart."""
+    from scipy.spatial import cKDTree  # takes long to load; a plan needs no points
+
     distance, j_of_i = cKDTree(b).query(a)
     _, i_of_j = cKDTree(a).query(b)
     i = np.flatnonzero((i_of_j[j_of_i] == np.arange(len(a))) & (distance <= tolerance))

@@ -82,6 +82,12 @@ def wait(browser, script: str, seconds: float = 60):
     raise AssertionError(f"still false after {seconds} s: {script}")
 
 
+def show(browser, element: str, script: str):
+    """Return `script` once true; keeps `element` in view, which figures drawn above it move."""
+    view_of = f"{element}.scrollIntoView({{ behavior: 'instant' }})"
+    return wait(browser, f"({view_of}, {script})")
+
+
 def barriers(browser, *rules: str) -> list[str]:
     """Return the serious and critical findings of axe-core, with the first element of each."""
     from axe_selenium_python import Axe

@@ -63,6 +63,16 @@ def cloud_pairs(draw, dim, kinds=(), max_points=6):
     return source, target, draw(st.integers(1, both))
 
 
+def centred(points):
+    return points - points.mean(axis=0)
+
+
+def centred_pairs(max_points=6):
+    """Centred clouds in 3D, some of them mirrored, and n_inliers."""
+    pairs = cloud_pairs(3, kinds=("mirrored",), max_points=max_points)
+    return pairs.map(lambda pair: (centred(pair[0]), centred(pair[1]), pair[2]))
+
+
 def model_of(family, source, target, n_inliers, **settings):
     if family == "similarity2d":
         return Similarity2D(source, target, n_inliers, (0.5, 1.5), **settings)
@@ -106,6 +116,23 @@ def facet_boxes(draw, roots, halves=(1.0, 0.5, 0.1, 0.01)):
         np.clip(centre - half, root.lower, root.upper),
         np.clip(centre + half, root.lower, root.upper),
     )
+
+
+def box_about(theta, generator, size):
+    """A box of 3D poses with theta at its centre, at a vertex, on an edge, or anywhere."""
+    dim = len(theta)
+    width = size * generator.uniform(0.2, 1.5, dim)
+    width[4:7] *= generator.choice([0.0, 0.1, 0.5, 1.0])
+    width[np.argmax(np.abs(theta[:4]))] = 0.0
+    width[generator.random(dim) < 0.15] = 0.0
+    places = (
+        np.full(dim, 0.5),
+        generator.integers(0, 2, dim),
+        generator.choice([0.0, 0.5, 1.0], dim),
+        generator.random(dim),
+    )
+    lower = theta - places[generator.integers(4)] * width
+    return Box(np.minimum(lower, theta), np.maximum(lower + width, theta))
 
 
 def thetas_in(box, count=40):

@@ -11,18 +11,13 @@ import csv
 import sys
 from typing import Any
 
-import numpy as np
-
 from data.fetch import fetch
 from data.registry import dataset
 from data.threedmatch.loader import LISTS, read_metadata
+from dcreg.problem import rotation_angle_deg
 
 LEVELS = (0.15, 0.25, 0.40, 0.55, 0.75)
 MIN_ROTATION_DEG = 20.0
-
-
-def _angle_deg(rotation: np.ndarray) -> float:
-    return float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))
 
 
 def select(lists: dict[str, list[dict[str, Any]]]) -> list[dict[str, Any]]:
@@ -31,7 +26,7 @@ def select(lists: dict[str, list[dict[str, Any]]]) -> list[dict[str, Any]]:
     rows = []
     for scene in sorted({entry["scene_name"] for entry in entries}):
         here = [entry for entry in entries if entry["scene_name"] == scene]
-        turned = [e for e in here if _angle_deg(e["rotation"]) >= MIN_ROTATION_DEG]
+        turned = [e for e in here if rotation_angle_deg(e["rotation"]) >= MIN_ROTATION_DEG]
         for level in LEVELS:
             best = min(turned or here, key=lambda entry: abs(entry["overlap"] - level))
             rows.append({"scene": scene, "level": level, **_row(best)})

@@ -1,9 +1,9 @@
 """What is compiled when needed: functions, specialisations and lines of LLVM's input.
 
 ``python -m tests.bench.compile_counters`` prints the counters and the stored ones of a first call of
-`register` in 2D and in 3D, and of the covers, which only long searches compile. ``--accept`` stores the
-counters. Compile time cannot be asserted on a shared machine, these counters can. Use the pinned version
-of Numba, because other versions generate other code.
+`register` in 2D and in 3D, and of the covers after one in 3D: only long searches compile them.
+``--accept`` stores the counters. Compile time cannot be asserted on a shared machine, these counters can.
+Use the pinned version of Numba, because other versions generate other code.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ ROOT = Path(__file__).parents[2]
 STORED = Path(__file__).with_name("compile_counters.json")
 COMMAND = "python -m tests.bench.compile_counters --accept"
 MODELS = {"2d": "similarity2d", "3d": "rigid3d"}
-CASES = (*MODELS, "covers")
+PROCESSES = (("2d",), ("3d", "covers"))  # cases, in turn in one process each
 N_POINTS = 40  # above 1,000 pairs, a 3D search compiles all of its kernels
 MARGIN = 0.1
 
 
-def count(case: str) -> dict[str, int]:
-    """Count what a case compiles in a new process with an empty cache."""
+def count(*cases: str) -> dict[str, dict[str, int]]:
+    """Count what each case compiles in turn, in a new process with an empty cache."""
     with tempfile.TemporaryDirectory() as cache:
         done = subprocess.run(
-            [sys.executable, "-m", "tests.bench.compile_counters", "--here", case], cwd=ROOT,
+            [sys.executable, "-m", "tests.bench.compile_counters", "--here", *cases], cwd=ROOT,
             env=os.environ | {"NUMBA_CACHE_DIR": cache}, check=True, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
-    counters: dict[str, int] = json.loads(done.stdout.splitlines()[-1])
+    counters: dict[str, dict[str, int]] = json.loads(done.stdout.splitlines()[-1])
     return counters
 
 
@@ -97,12 +97,12 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--accept", action="store_true", help="store the counters")
-    parser.add_argument("--here", choices=CASES, help=argparse.SUPPRESS)
+    parser.add_argument("--here", nargs="+", metavar="CASE", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.here:
-        print(json.dumps(_count_here(arguments.here)))
+        print(json.dumps({case: _count_here(case) for case in arguments.here}))
         return
-    found = {case: count(case) for case in CASES}
+    found = {case: each for cases in PROCESSES for case, each in count(*cases).items()}
     before = stored() if STORED.exists() else {}
     for case, counters in found.items():
         old = before.get(case, {})

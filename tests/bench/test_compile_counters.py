@@ -3,15 +3,16 @@
 import pytest
 from numba import config
 
-from tests.bench.compile_counters import CASES, COMMAND, count, growth, stored
+from tests.bench.compile_counters import COMMAND, PROCESSES, count, growth, stored
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
-@pytest.mark.parametrize("case", CASES)
-def test_little_more_is_compiled_than_stored(case):
-    grown = growth(count(case), stored()[case])
-    assert not grown, f"{case}: {'; '.join(grown)}; to accept the growth: {COMMAND}"
+@pytest.mark.parametrize("cases", PROCESSES, ids="-".join)
+def test_little_more_is_compiled_than_stored(cases):
+    accepted, found = stored(), count(*cases)
+    grown = [f"{case}: {each}" for case in cases for each in growth(found[case], accepted[case])]
+    assert not grown, f"{'; '.join(grown)}; to accept the growth: {COMMAND}"
 
 
 def test_a_growth_by_more_than_a_tenth_is_found():

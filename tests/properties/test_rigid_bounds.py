@@ -46,16 +46,7 @@ from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.families.rotation3d.kernels.caps import cap_costs
 from dcreg.search import Box, Boxes, Budget, Tolerance, minimise
-from tests.problems import SEEDS, cloud_pairs, facet_boxes, lower_bound
-
-
-def centred(points):
-    return points - points.mean(axis=0)
-
-
-def problems(max_points=6):
-    pairs = cloud_pairs(3, kinds=("mirrored",), max_points=max_points)
-    return pairs.map(lambda pair: (centred(pair[0]), centred(pair[1]), pair[2]))
+from tests.problems import SEEDS, box_about, centred, centred_pairs, facet_boxes, lower_bound
 
 
 def boxes(**kwargs):
@@ -86,22 +77,6 @@ def best_pose(problem, generator):
     theta = model.fit(x.T, y.T)
     T = model.pose(theta)
     return model.normalised(theta), ((x @ T[:3, :3].T + T[:3, 3] - y) ** 2).sum()
-
-
-def box_about(theta, generator, size):
-    """A box with theta at its centre, at a vertex, on an edge, or anywhere."""
-    width = size * generator.uniform(0.2, 1.5, 7)
-    width[4:] *= generator.choice([0.0, 0.1, 0.5, 1.0])
-    width[np.argmax(np.abs(theta[:4]))] = 0.0
-    width[generator.random(7) < 0.15] = 0.0
-    places = (
-        np.full(7, 0.5),
-        generator.integers(0, 2, 7),
-        generator.choice([0.0, 0.5, 1.0], 7),
-        generator.random(7),
-    )
-    lower = theta - places[generator.integers(4)] * width
-    return Box(np.minimum(lower, theta), np.maximum(lower + width, theta))
 
 
 class Parts:
@@ -141,7 +116,7 @@ class Parts:
 
 
 @given(
-    problems(),
+    centred_pairs(),
     st.sampled_from([1.0, 0.3, 0.1, 0.01, 0.0]),
     st.sampled_from([0.5, 0.95, 1.0, 1.5, 10.0]),
     SEEDS,
@@ -162,7 +137,7 @@ def test_bound_and_its_caps_are_below_every_matching_at_its_best_pose(
     assert nearest - parts.lost <= caps + 1e-9
 
 
-@given(problems(), boxes())
+@given(centred_pairs(), boxes())
 def test_other_bounds_alone_are_below_the_objective_anywhere(problem, box):
     lowest = min(values_in(problem, box))
     parts = Parts(Rigid3D(*problem), box)
@@ -183,21 +158,21 @@ def test_caps_lose_the_square_of_the_shift(rng):
     assert nearest_sums(parts.costs(), np.linalg.norm(parts.half), 12)[1] < 0.5 * best
 
 
-@given(problems(), boxes())
+@given(centred_pairs(), boxes())
 def test_candidate_value_is_an_upper_bound_at_the_centre(problem, box):
     exact = values_in(problem, Box(box.centre, box.centre))[0]
     found = RigidBound(Rigid3D(*problem)).evaluate(Boxes.of([box]), 2.0 * exact)
     assert found.values[0] >= exact - 1e-9
 
 
-@given(problems(), boxes(halves=(0.0,)))
+@given(centred_pairs(), boxes(halves=(0.0,)))
 def test_bound_at_a_single_pose_is_the_objective(problem, box):
     exact = values_in(problem, box)[0]
     bound = lower_bound(RigidBound(Rigid3D(*problem)), box, 1.01 * exact + 1e-6)
     assert bound == pytest.approx(exact, abs=1e-7)
 
 
-@given(problems(), boxes(halves=(0.5, 0.1)))
+@given(centred_pairs(), boxes(halves=(0.5, 0.1)))
 def test_rotations_of_a_box_lie_within_its_angle(problem, box):
     parts = Parts(Rigid3D(*problem), box)
     centre = Rotation.from_quat(box.centre[:4], scalar_first=True)
@@ -250,7 +225,7 @@ def test_rough_costs_are_squared_distances(n, m, seed):
 
 
 @given(
-    problems(12),
+    centred_pairs(12),
     boxes(halves=(0.3, 0.1, 0.01, 0.0)),
     st.sampled_from([0.0, 0.1, 1.0]),
     SEEDS,
@@ -295,7 +270,7 @@ def test_what_is_needed_proves_what_it_is_needed_for(tangent, shift_radius, cuto
 
 
 @given(
-    problems(10),
+    centred_pairs(10),
     st.sampled_from([0.3, 0.1, 0.01, 0.0]),
     st.sampled_from([0.0, 0.1, 10.0]),
     st.sampled_from([0.0, 1.0, np.inf]),

@@ -17,24 +17,15 @@ from dcreg.families.similarity3d.kernels.boxes import _by_displacements, _resize
 from dcreg.families.similarity3d.space import SCALE, Similarity3D, fit_similarity
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Box, Boxes
-from tests.problems import SEEDS, cloud_pairs, facet_boxes, lower_bound
+from tests.problems import SEEDS, box_about, centred, centred_pairs, facet_boxes, lower_bound
 
 RANGES = st.sampled_from([(0.5, 1.5), (1.0, 1.0), (0.9, 1.1), (0.2, 0.4), (2.0, 3.0)])
-
-
-def centred(points):
-    return points - points.mean(axis=0)
-
-
-def problems(max_points=6):
-    pairs = cloud_pairs(3, kinds=("mirrored",), max_points=max_points)
-    return pairs.map(lambda pair: (centred(pair[0]), centred(pair[1]), pair[2]))
 
 
 @st.composite
 def similar_problems(draw, max_points=6, all_match=False):
     """A problem and a range of scales; the target may be a scaled copy of the source."""
-    source, target, k = draw(problems(max_points))
+    source, target, k = draw(centred_pairs(max_points))
     if all_match:
         size = min(len(source), len(target))
         source, target, k = centred(source[:size]), centred(target[:size]), size
@@ -52,20 +43,10 @@ def best_pose(problem, generator):
     return model.normalised(theta), ((x @ T[:3, :3].T + T[:3, 3] - y) ** 2).sum()
 
 
-def box_about(theta, generator, size, scale_range, only_rotates):
-    """A box with theta at its centre, at a vertex, on an edge, or anywhere; scales in the range."""
-    width = size * generator.uniform(0.2, 1.5, 8)
-    width[4:7] *= generator.choice([0.0, 0.1, 0.5, 1.0])
-    width[np.argmax(np.abs(theta[:4]))] = 0.0
-    width[generator.random(8) < 0.15] = 0.0
-    places = (
-        np.full(8, 0.5),
-        generator.integers(0, 2, 8),
-        generator.choice([0.0, 0.5, 1.0], 8),
-        generator.random(8),
-    )
-    lower = theta - places[generator.integers(4)] * width
-    lower, upper = np.minimum(lower, theta), np.maximum(lower + width, theta)
+def box_in_range(theta, generator, size, scale_range, only_rotates):
+    """A box as of `box_about`, with scales in the range."""
+    box = box_about(theta, generator, size)
+    lower, upper = box.lower, box.upper
     lower[SCALE], upper[SCALE] = np.clip([lower[SCALE], upper[SCALE]], *scale_range)
     if only_rotates:
         lower[4:], upper[4:] = [0.0, 0.0, 0.0, scale_range[0]], [0.0, 0.0, 0.0, scale_range[1]]
@@ -83,7 +64,7 @@ def test_bound_is_below_every_matching_at_its_best_pose(problem, size, tightness
     generator = np.random.default_rng(seed)
     theta, left_over = best_pose(problem, generator)
     bound = SimilarityBound(Similarity3D(*problem))
-    box = box_about(theta, generator, size, problem[3], bound.space.only_rotates)
+    box = box_in_range(theta, generator, size, problem[3], bound.space.only_rotates)
     assert 0.0 <= lower_bound(bound, box, tightness * left_over + 1e-12) <= left_over + 1e-9
 
 
@@ -245,7 +226,7 @@ def test_bounds_enclose_the_minimum_over_all_matchings(problem, stationary):
         assert found.upper_bound - found.gap_tol - slack <= exact
 
 
-@given(problems(5), RANGES, SEEDS)
+@given(centred_pairs(5), RANGES, SEEDS)
 def test_infeasible_pairs_stay_out_and_the_bounds_hold(problem, scale_range, seed):
     source, target, k = problem
     generator = np.random.default_rng(seed)

@@ -7,7 +7,7 @@ import pytest
 from tests.questions.checks import CHECKS
 
 COUNTS = {
-    "max_rms": 30, "certify": 30, "alternatives": 13, "max_inliers": 30, "range": 30, "sweep": 12,
+    "max_rms": 16, "certify": 16, "alternatives": 13, "max_inliers": 16, "range": 16, "sweep": 8,
 }  # fmt: skip
 OPEN = ("open", "at least", "interval", "time_limit", "converged")
 

@@ -143,9 +143,8 @@ def _runs(roles: dict[str, Role], claim: Claim, experiment: str, trials: int) ->
         size = draw.uniform(0.95, 1.05, len(grid))
         grid["rmse"], grid["rmse_floor"] = grid["rmse"] * size, grid["rmse_floor"] * size
     assert grid["rmse"].notna().all(), "make the optima again"
-    grid["instance_id"] = (
-        grid[["shape", "test", "level", "trial"]].astype(str).agg("-".join, axis=1)
-    )
+    places = zip(*(grid[name] for name in ("shape", "test", "level", "trial")), strict=True)
+    grid["instance_id"] = ["-".join(map(str, place)) for place in places]
     tables = []
     for name, role in roles.items():
         runs = grid.assign(

@@ -90,6 +90,7 @@ def test_clouds_that_do_not_fit_are_left_out_and_named(results, archive, tmp_pat
 
 def test_the_committed_archive_has_no_clouds_and_says_so(tmp_path):
     folder = read.folder_of("0.2.0", tmp_path)  # whose checksums hold
+    crate.check(folder)
     said = list(archived_clouds.sentences(read.facts(folder)))
     assert said[0] == "The archive has no clouds of findings, except in its overlays."
 

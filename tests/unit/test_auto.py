@@ -10,7 +10,8 @@ from dcreg.assignment.sparse import greedy_count, tree_of
 from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Task, solve
 from dcreg.driver import auto
-from dcreg.problem import InputError
+from dcreg.problem import InputError, apply_pose
+from dcreg.result_parts import ChosenNumber, ComparedNumber
 from dcreg.status import Status
 from tests.results import run
 from tests.unit.test_sweeping import flat, solid
@@ -90,6 +91,25 @@ def test_near_pairs_are_counted_one_to_one():
     points = np.array([[0.0, 0.1], [0.0, -0.2], [1.0, 0.5], [9.0, 9.0]])
     tree = tree_of(target)
     assert [greedy_count(points, tree, reach) for reach in (0.05, 0.2, 0.5, 20.0)] == [0, 1, 2, 2]
+
+
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d", "similarity3d"])
+@pytest.mark.parametrize("n", [8, 12, 18])
+def test_a_few_pairs_of_small_clouds_do_not_win_by_chance(model, n):
+    """Any two pairs fit a similarity in 2D exactly, and a few of 18 points fit others well."""
+    rng = np.random.default_rng(n)
+    source = rng.standard_normal((n, int(model[-2])))
+    target = rng.permutation(source + 5.0 + 0.02 * rng.standard_normal(source.shape))
+    found = dcreg.register(source, target, model=model, node_limit=1)
+    assert found.n_inliers >= n - 1
+    moved = apply_pose(found.T_target_source, source)
+    assert np.sqrt(((moved - source - 5.0) ** 2).sum(axis=1).mean()) < 0.1
+
+
+def test_the_smallest_number_is_not_called_the_only_one_that_fits():
+    compared = [ComparedNumber(k, 0.1 * k) for k in (3, 4, 5)]
+    assert str(ChosenNumber(compared, 3, 3)).startswith("the smallest number compared\n")
+    assert str(ChosenNumber(compared, 4, 4)).startswith("no other number fits nearly as well\n")
 
 
 def test_unrelated_clouds_are_called_uncertain():

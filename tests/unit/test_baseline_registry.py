@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-from baselines import registry, template
+from baselines import dependencies, registry, template
 from baselines.contract import NOISE_FACTOR, Instance, ThresholdRule
 from baselines.dependencies import files_behind
 from baselines.registry import BaselineError
@@ -401,3 +402,37 @@ class TestWhatAMethodDependsOn:
         for guard, counts in (("", True), ("if TYPE_CHECKING:\n    ", False)):
             (checkout / "uses.py").write_text(f"{guard}from dcreg.plot import page\n")
             assert (page in files_behind([checkout / "uses.py"], checkout)) == counts
+
+    def test_a_file_is_parsed_once_and_again_after_an_edit(
+        self, checkout: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        parsed = []
+        parse = ast.parse
+        monkeypatch.setattr(ast, "parse", lambda *given: parsed.append(given[1]) or parse(*given))
+        monkeypatch.setattr(dependencies, "_STORE", tmp_path / "imports.json")
+        monkeypatch.setattr(sys, "dont_write_bytecode", False)
+        monkeypatch.setattr(dependencies.atexit, "register", lambda *_: None)
+        uses = checkout / "uses.py"
+
+        def found_by_a_new_process() -> set[Path]:
+            parsed.clear()
+            dependencies._read.cache_clear()
+            dependencies._stored.cache_clear()
+            behind = files_behind([uses], checkout)
+            dependencies._store(dependencies._stored(), 0)
+            return behind
+
+        (tmp_path / "imports.json").write_text("{damaged")
+        uses.write_text("from dcreg.status import Status\n")
+        before = found_by_a_new_process()
+        assert str(uses) in parsed
+        assert found_by_a_new_process() == before
+        assert not parsed
+        uses.write_text("from dcreg.names import MODELS\n")
+        assert found_by_a_new_process() != before
+        assert parsed[0] == str(uses)
+        monkeypatch.setattr(dependencies, "_version", lambda: "other code")
+        found_by_a_new_process()
+        assert str(uses) in parsed
+        dependencies._read.cache_clear()
+        dependencies._stored.cache_clear()

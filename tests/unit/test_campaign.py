@@ -179,3 +179,18 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
     count = len(list(campaign.plan().runs()))
     assert views[0].summary([]).startswith(f"0 of {count} runs ended")
     assert views[0].console is console
+
+
+def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monkeypatch):
+    begun = []
+
+    def interrupted(campaign, claim, *_):
+        begun.append((campaign.name, claim))
+        return False
+
+    monkeypatch.setattr(run, "_run", interrupted)
+    monkeypatch.setattr(Campaign, "unfinished", lambda self: Forecast(1, 2.0, 0))
+    names = [NAME, "paper3d-40"]
+    monkeypatch.setattr(run, "_ahead", lambda *_: [])
+    run.collect(1.0, names, tmp_path, 1, tmp_path / "out")
+    assert begun == [(NAME, "continue")]

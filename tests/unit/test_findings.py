@@ -120,7 +120,7 @@ def made(**columns) -> Measured:
         "model": "similarity2d", "bound": PUBLISHED, "n_inliers_ratio": 1.0, "status": "optimal",
         "certificate_scope": "similarity pose", "lower_bound": 0.5, "upper_bound": 1.0, "gap_tol": 0.6,
         "bound_ratio": 0.5, "n_nodes": 3.0, "time_solve_s": 0.1, "display_name": "DC",
-        "test": "noise", "level": 0.1,
+        "test": "noise", "level": 0.1, "outcome": "finished",
         "objective": 1.0, "objective_true": 2.0, "family": "f", "norm_translation_error": 0.2,
     }  # fmt: skip
     runs = pd.DataFrame(rows).assign(**same).assign(**columns)
@@ -145,6 +145,15 @@ def test_separation_compares_on_the_same_instances():
     fewer = found.runs[~(found.runs["method"].eq(OURS) & found.runs["instance_id"].eq("3"))]
     shown = measured.separation(dataclasses.replace(found, runs=fewer), "similarity2d")
     assert {row[2] for row in shown.rows} == {"7"}
+
+
+def test_fewer_assignments_of_runs_at_a_limit_decide_nothing():
+    found = made()
+    for cut, last in ((OURS, "open (limit; counts lower)"), (STATED, "lower")):
+        runs = found.runs.copy()
+        runs.loc[runs["method"].eq(cut) & runs["instance_id"].eq("3"), "outcome"] = "limited"
+        (row,) = measured.effects(dataclasses.replace(found, runs=runs), "similarity2d").rows
+        assert row[-1] == last
 
 
 def test_bounds_are_not_compared_across_searches_that_differ():

@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 from record_fixture import N_RUNS, table, write_record
 
@@ -33,6 +34,22 @@ def test_steps_are_at_their_version(history):
     assert found.pop("boxes") == ["v3"]
     assert found.pop("time") == ["v3"]  # the fourth version ran on another machine
     assert not any(found.values())
+
+
+def test_steps_are_the_verdicts_of_a_comparison(rng, tmp_path):
+    """A lost pose is a step; two tests of six runs each are none, as one of them alone would be."""
+    first = table(rng)
+    second = first.copy()
+    second.loc[0, ["status", "rmse", "objective"]] = ["failed", np.nan, np.nan]
+    third = second.copy()
+    third.loc[1:6, "success"] = False
+    third.loc[1:6, "objective"] *= 1.1
+    for day, runs in enumerate([first, second, third], start=1):
+        write_record(tmp_path / f"v{day}" / "e", runs, f"2026-01-0{day}")
+    (found,) = steps.load(tmp_path)
+    marked = {line.metric.title: [p.version for p in line.steps] for line in found.lines["dcreg"]}
+    assert marked["without pose"] == ["v2"]
+    assert marked["success"] == marked["objective"] == []
 
 
 def test_a_line_of_times_ends_where_the_machine_changes(history):

@@ -132,27 +132,6 @@ def test_runs_at_a_limit_forbid_the_side_that_they_could_leave():
         assert intervals.p_values(inside, claimed, **{flag: True})[0] == 1.0
 
 
-def test_holm_decides_the_smallest_first_and_stops_at_the_first_open_one():
-    levels = intervals.holm([0.04, 0.001, 0.013, 0.5])
-    assert levels == pytest.approx([LEVEL / 2, LEVEL / 4, LEVEL / 3, LEVEL / 2])
-    p = [0.04, 0.001, 0.013, 0.5]
-    assert [a <= b for a, b in zip(p, levels, strict=True)] == [False, True, True, False]
-    assert intervals.holm([]) == []
-    # none after the first open one is decided, however much its own level would allow
-    p = [0.02, 0.03, 0.04]
-    assert not any(a <= b for a, b in zip(p, intervals.holm(p), strict=True))
-
-
-def test_holm_keeps_the_probability_of_a_wrong_decision():
-    """Ten p-values without an effect: uncorrected, four in ten claims would have a wrong decision."""
-    rng = np.random.default_rng(3)
-    wrong, uncorrected = 0, 0
-    for p in rng.random((400, 10)):
-        uncorrected += p.min() <= LEVEL
-        wrong += any(a <= b for a, b in zip(p, intervals.holm(p), strict=True))
-    assert wrong <= 0.08 * 400 < 0.3 * 400 <= uncorrected
-
-
 def test_few_successes_do_not_show_a_share():
     claimed = {"at_least": 0.9}
     assert decided(intervals.share(np.ones(40)), claimed) == OPEN

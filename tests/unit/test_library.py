@@ -30,11 +30,12 @@ from data.library.problem import (
 from data.library.record import PROOFS, PoseEntry, Record, read_record
 from tests.oracles.kernels import k_assignment
 from tests.oracles.matchings import optimal_similarity
+from workflows.library import solve as solving
 from workflows.library.constructions import solid, tiny
 from workflows.library.generate import as_problem
 from workflows.library.recording import record_answers
 from workflows.library.running import instance_of, judged, summary
-from workflows.library.solve import solve
+from workflows.library.solve import reprove, solve
 
 KNOWN = all_problems()
 RECORDS = {problem_id: read_record(problem_id) for problem_id in KNOWN}
@@ -330,6 +331,26 @@ def test_solves_are_kept_and_recorded(tmp_path):
     assert list(record_answers([problem], answers, records, proofs)) == []
 
 
+def test_a_proof_that_is_not_stored_is_made_again(monkeypatch):
+    large = find_problem("tiny-2d-line-4")
+    assert not RECORDS[large.id].certificate.stored
+    assert list(reprove([ONE], 60.0)) == []  # its proof is stored
+    ((line, holds),) = reprove([large], 60.0)
+    assert holds, line
+    higher = RECORDS[large.id].model_copy(deep=True)
+    object.__setattr__(higher.best_bound, "lower_bound", 1.001 * higher.lower_bound)
+    monkeypatch.setattr(solving, "read_record", lambda _: higher)
+    ((line, holds),) = reprove([large], 60.0)
+    assert not holds, line
+
+
+def test_a_check_that_would_take_too_long_is_given_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(solving, "CHECK_S", 0.0)
+    _, proof = solve(ONE, 60.0, tmp_path)
+    assert (proof.status, proof.checked_bound) == ("optimal", None)
+    assert proof.reason == "the check took too long"
+
+
 def answer(pose, **more):
     return {"status": "optimal", "T_target_source": pose, "time_solve_s": 0.5, **more}
 
@@ -348,15 +369,18 @@ def test_verdicts_of_a_method():
             "too small": answer(np.diag([0.1, 0.1, 1.0])),
             "wrong": answer(far, lower_bound=low, **scope),
             "too high": answer(best.pose, lower_bound=1.1 * best.objective, **scope),
+            "loose": answer(best.pose, lower_bound=0.6 * best.objective, gap_tol=1.0, **scope),
+            "rough": answer(far, lower_bound=low, gap_tol=1e3, **scope),
             "failed": {"status": "failed", "message": "no pose"},
         }.items()
     }
     found = {name: row["verdict"] for name, row in verdicts.items()}
     assert found == {
         **{name: name for name in verdicts}, "too high": "wrong", "too small": "missed",
+        "loose": "solved", "rough": "missed",  # optimal within their own tolerance
     }  # fmt: skip
     text = summary("method", pd.DataFrame(list(verdicts.values())), 1.0)
-    assert "solved: 0% in 0.1 s, 0% in 0.3 s, 29% in 1 s" in text
+    assert "solved: 0% in 0.1 s, 0% in 0.3 s, 33% in 1 s" in text
 
 
 def test_a_method_receives_neither_pose_nor_pairs():

@@ -306,8 +306,15 @@ def test_largest_number_of_pairs_is_bracketed():
     target = np.vstack([TARGET[:14], 3.0 + RNG.standard_normal((6, 3))])
     found = dcreg.max_inliers(SOURCE, target, distance=0.05, model="rigid3d", time_limit=20)
     assert found.at_least >= 14
-    assert found.at_most < 20
+    assert found.at_most < found.n_possible == 20
     assert str(found.at_least) in found.answer
+
+
+@pytest.mark.parametrize(("at_most", "says"), [(19, "is proven"), (20, "no proof lowered it")])
+def test_a_number_of_points_is_not_called_a_proof(at_most, says):
+    answer = dcreg.MaxInliers(0.1, 12, at_most, 20, np.eye(4), np.empty((12, 2), int), [], 1.0)
+    assert answer.answer.startswith(f"12 to {at_most} pairs within 0.1")
+    assert says in answer.answer
 
 
 @pytest.mark.parametrize(("distance", "count"), [(0.21, 3), (0.19, 2)])

@@ -107,15 +107,15 @@ def test_a_proof_is_awaited_for_a_short_time_after_the_patience(n_nodes, spent_s
 
 
 def test_a_hopeless_search_ends_with_its_reason_unless_a_proof_is_requested():
-    source, target, _ = partial_overlap(0, n_common=60, n_clutter=200)
-    settings = {"n_inliers": 60, "model": "rigid3d"}
+    source, target, _ = partial_overlap(0, n_common=40, n_clutter=120)
+    settings = {"n_inliers": 40, "model": "rigid3d"}
     found = dcreg.register(source, target, **settings, time_limit=12.0)
     assert (found.status, found.reason) == ("converged", "proof not expected soon")
     assert "no proof is expected soon" in found.warnings[0]
     assert str(found).splitlines()[0].endswith("prove=True (--prove) searches longer")
     assert found.to_dict()["reason"] == found.reason
     proved = dcreg.register(
-        source, target, **settings, time_limit=6.0, options=dcreg.SolveOptions(prove=True)
+        source, target, **settings, time_limit=3.0, options=dcreg.SolveOptions(prove=True)
     )
     assert (proved.status, proved.reason) == ("time_limit", "")
     assert proved.n_nodes > 0

@@ -11,6 +11,7 @@ import pytest
 from baselines.contract import Instance
 from dcreg.status import Status
 from workflows import UserError, outcomes, records
+from workflows.hashing import digest_arrays
 from workflows.instances import (
     Problem,
     Truth,
@@ -139,10 +140,34 @@ def test_the_prior_is_a_rounded_share_within_what_can_be_matched(problems, ratio
 
 def test_the_content_digest_sees_every_change(problems):
     given = problems[0].for_solver(1.0, 0)
-    moved = replace(problems[0], source=problems[0].source + 1e-12).for_solver(1.0, 0)
-    others = [problems[0].for_solver(0.5, 0), problems[0].for_solver(1.0, 1), moved]
+    moved = replace(problems[0], source=problems[0].source + 1e-8).for_solver(1.0, 0)
+    looser = replace(problems[0], noise_bound=problems[0].noise_bound * 1.0001).for_solver(1.0, 0)
+    others = [problems[0].for_solver(0.5, 0), problems[0].for_solver(1.0, 1), moved, looser]
     assert content_digest(given) not in {content_digest(other) for other in others}
     assert content_digest(given) == content_digest(problems[0].for_solver(1.0, 0))
+
+
+def test_the_content_digest_is_the_same_on_processors_that_round_differently(problems):
+    given, other = problems[0].for_solver(1.0, 0), problems[0].for_solver(1.0, 0)
+    for sign in (-1.0, 1.0):
+        last = sign * np.spacing(np.abs(given.target).max())
+        noise_bound = np.nextafter(other.noise_bound, sign * np.inf)
+        near = replace(other, target=other.target + last, noise_bound=noise_bound)
+        assert not np.array_equal(near.target, given.target)
+        assert content_digest(near) == content_digest(given)
+
+
+@pytest.mark.parametrize("largest", [0.25, 0.5, 1.0, 2.0, 1000.0])
+def test_the_digest_of_normalised_points_does_not_depend_on_their_last_bit(largest):
+    points = np.array([[-largest, 0.3 * largest], [0.1 * largest, largest]])
+    near = [np.nextafter(points, way) for way in (-np.inf, np.inf)]
+    assert len({digest_arrays(cloud) for cloud in (points, *near)}) == 1
+
+
+def test_the_digest_of_whole_numbers_does_not_depend_on_their_size():
+    pairs = np.array([[0, 3], [1, 2]])
+    assert digest_arrays(pairs) == digest_arrays(pairs.astype(np.int32))
+    assert digest_arrays(pairs) != digest_arrays(pairs + 1)
 
 
 def test_forget_drops_only_runs_by_status_and_truncated_lines(tmp_path):

@@ -64,6 +64,10 @@ def stored(folder, row) -> str:
             "different: pose",
         ),
         ({"n_assignments": 10_000.0}, "different: n_assignments"),
+        (
+            {"n_assignments": 10_000.0, "machine_id": "other"},
+            "different: n_assignments; the stored run is from another machine",
+        ),
         ({"instance_digest": "other"}, "not compared: another instance"),
         ({"fingerprint": "other"}, "not compared: another version of the method"),
         ({"outcome": "failed", "status": "failed"}, "not compared: the stored run has the status"),

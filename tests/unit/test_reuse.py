@@ -116,7 +116,7 @@ def test_the_initial_pose_is_compared_on_all_points(clouds, sample, angle, taken
     part, found = sample
     found.T_target_source[:] = turned(1.5)
     whole = Problem(*clouds, 40, "rigid3d")
-    result = refined(found, whole, part, Budget(), init=turned(angle))
+    result = refined(found, whole, part, Budget(), initial=[turned(angle)])
     assert np.allclose(result.rotation, np.eye(3), atol=0.05) == taken
 
 

@@ -24,7 +24,7 @@ from workflows.config import DatasetSettings, Experiment, MethodSettings, parse_
 from workflows.instances import Problem, content_digest, read_problems, write_problems
 from workflows.metrics import METRICS, Case
 from workflows.stages import generate
-from workflows.stages.plan import InstanceSpec, expand, run_identity
+from workflows.stages.plan import InstanceSpec, expand, method_identity, run_identity
 from workflows.studies.threedmatch import against_overlap, not_attempted, recalls, with_pairs
 
 load = cache(config.load)  # a second each
@@ -154,7 +154,7 @@ def test_method_with_few_points_gets_a_share_of_the_prior():
     assert given.n_inliers == 7  # 20 of 30
     assert given.matches == {}
     spec = experiment("3DMatch-quick"), experiment("3DMatch-quick", n_points=10)
-    assert len({run_identity(e, e.methods[0], "x") for e in spec}) == 2
+    assert len({run_identity(method_identity(e, e.methods[0]), "x") for e in spec}) == 2
 
 
 def test_shared_front_ends_hand_on_the_matches_of_the_instance():

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from dcreg import Trace, plot_registration, plot_sweep
-from tests.browsing import barriers, errors, needs_browser, open_page, overprinted, requests, view
+from tests.browsing import (
+    barriers,
+    errors,
+    needs_browser,
+    open_page,
+    overprinted,
+    requests,
+    show,
+    view,
+)
 from tests.browsing import wait as wait_for
 from tests.results import event, made_result, made_sweep
 
@@ -67,8 +76,7 @@ def draw(browser) -> None:
     for at in (0, -1):
         plot = f"[...document.querySelectorAll('.plot')].at({at})"
         if browser.execute_script(f"return Boolean({plot})"):
-            browser.execute_script(f"{plot}.scrollIntoView()")
-            wait_for(browser, f"{plot}.querySelector('.main-svg')")
+            show(browser, plot, f"{plot}.querySelector('.main-svg')")
 
 
 @pytest.mark.parametrize("kind", ["report", "claims", "history", "register", "sweep"])
@@ -90,8 +98,7 @@ def test_page_has_no_barrier_and_prints_over_nothing(browser, pages, kind):
 def test_view_of_a_run_has_no_barrier(browser, pages):
     view(browser, 420, "dark")
     open_page(browser, pages["report"])
-    browser.execute_script("document.getElementById('gallery').scrollIntoView()")
-    wait_for(browser, "document.querySelector('a.view')")
+    show(browser, "document.getElementById('gallery')", "document.querySelector('a.view')")
     browser.execute_script("location.hash = document.querySelector('a.view').hash")
     wait_for(browser, "document.getElementById('run').dataset.drawn")
     browser.execute_script(SHORTEN)

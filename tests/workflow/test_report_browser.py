@@ -12,6 +12,7 @@ from tests.browsing import (
     open_page,
     overprinted,
     requests,
+    show,
     view,
     wait,
 )
@@ -36,8 +37,7 @@ def page(browser, made_report):
 def drawn(browser, figure: str) -> str:
     """Scroll to a figure and wait for it; returns a script expression for its element."""
     element = f"document.getElementById('fig-{figure}')"
-    browser.execute_script(f"{element}.scrollIntoView()")
-    wait(browser, f"{element}.dataset.drawn")
+    show(browser, element, f"{element}.dataset.drawn")
     return element
 
 
@@ -197,8 +197,7 @@ def test_statistic_and_scale_switches(page):
 
 def test_a_method_is_hidden_everywhere(page):
     element = drawn(page, "levels-similarity2d")
-    page.execute_script("$('#gallery').scrollIntoView()")
-    wait(page, "$('#gallery-cards').children.length")
+    show(page, "$('#gallery')", "$('#gallery-cards').children.length")
     cards = "$('#gallery-cards').textContent.includes(nameOf('dcreg-half'))"
     wait(page, cards)
     page.execute_script("document.querySelector('[data-toggle-method=dcreg-half]').click()")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.browsing import needs_browser, requests, view, wait
+from tests.browsing import needs_browser, requests, show, view, wait
 from tests.workflow.test_report_browser import choose, drawn, page  # noqa: F401 (a fixture)
 
 pytestmark = needs_browser
@@ -12,8 +12,7 @@ pytestmark = needs_browser
 
 @pytest.fixture
 def runs(page):  # noqa: F811
-    page.execute_script("document.getElementById('runs').scrollIntoView()")
-    wait(page, "$('#runs-table').dataset.took")
+    show(page, "document.getElementById('runs')", "$('#runs-table').dataset.took")
     return page
 
 
