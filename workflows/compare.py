@@ -35,7 +35,7 @@ from workflows.metrics import METRICS
 from workflows.outcomes import TIMED
 from workflows.recording import Record, read
 from workflows.significance import SIGNIFICANT, exact_p, holm, sign_test
-from workflows.timing import COUNTERS, judge, judge_once, judge_work
+from workflows.timing import COUNTERS, judge, judge_once, judge_statuses, judge_work
 
 QUALITY = ("rmse", "objective")
 SAME = 1e-6  # relative difference up to which two floating-point results are equal
@@ -158,10 +158,10 @@ def judge_times(path: Path) -> Iterator[Verdict]:
             *where, f"CPU time, {timed.group}", "s, mean", "lower", timed.base_s, timed.head_s, word,
             timed.summary,
         )  # fmt: skip
-    for work in judge_work(table):
-        detail = f"{len(work.differing)} problems differ" if work.differing else ""
+    for work in (*judge_work(table), judge_statuses(table)):
+        better = "higher" if work.counter == "optimal" else "lower"
         yield Verdict(
-            *where, work.counter, "count", "lower", work.base, work.head, work.verdict, detail
+            *where, work.counter, "count", better, work.base, work.head, work.verdict, work.detail
         )
 
 

@@ -18,6 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from workflows.outcomes import TIMED
+
 COUNTERS = ("n_nodes", "n_assignments")
 CONFIDENCE = 0.95
 MARGIN = 1.02  # smaller differences between two processes have other causes, such as memory layout
@@ -130,24 +132,45 @@ def judge_once(base: np.ndarray, head: np.ndarray) -> tuple[str, Ratio]:
 
 @dataclass(frozen=True)
 class Work:
-    """The verdict on one counter of all problems of a table."""
+    """The verdict on one counter, or on the statuses, of all problems of a table."""
 
     counter: str
     base: int
     head: int
     verdict: str  # same, better, worse, changed
-    differing: tuple[str, ...]  # problems
+    detail: str
 
 
 def judge_work(times: pd.DataFrame, counters: Sequence[str] = COUNTERS) -> Iterator[Work]:
-    """Yield a verdict for each counter; the work of a solve must repeat exactly."""
+    """Yield a verdict for each counter; the work of a solve must repeat exactly.
+
+    Work that a repetition of the head does not repeat is worse. If only the base does not repeat its
+    work, the difference is `changed`.
+    """
     first = times.drop_duplicates("problem")
+    by_problem = times.groupby("problem", sort=False)
     for counter in counters:
         old, new = first[f"{counter}_base"], first[f"{counter}_head"]
-        differs = old != new
-        change = int(new.sum() - old.sum())
+        change, differing = int(new.sum() - old.sum()), int((old != new).sum())
         word = "worse" if change > 0 else "better" if change < 0 else "changed"
-        yield Work(
-            counter, int(old.sum()), int(new.sum()), word if differs.any() else "same",
-            tuple(first.loc[differs, "problem"]),
-        )  # fmt: skip
+        why = f"{differing} problems differ" if differing else ""
+        for side, verdict in (("base", "changed"), ("head", "worse")):
+            if unsteady := int((by_problem[f"{counter}_{side}"].nunique() > 1).sum()):
+                word, differing = verdict, unsteady
+                why = f"{unsteady} problems differ between repetitions of the {side}"
+        yield Work(counter, int(old.sum()), int(new.sum()), word if differing else "same", why)
+
+
+def judge_statuses(times: pd.DataFrame) -> Work:
+    """Return the verdict on how the solves ended: an optimum that is no longer proven is worse.
+
+    So is any new end by time or memory: these limits are far above what the problems need.
+    """
+    optimal = {side: times[f"status_{side}"].eq("optimal") for side in ("base", "head")}
+    starved = times["status_head"].isin(TIMED) & ~times["status_base"].isin(TIMED)
+    lost = (optimal["base"] & ~optimal["head"]) | starved
+    differs = times["status_base"] != times["status_head"]
+    word = "worse" if lost.any() else "changed" if differs.any() else "same"
+    count = times.loc[lost if lost.any() else differs, "problem"].nunique()
+    old, new = (int(optimal[side].sum()) for side in ("base", "head"))
+    return Work("optimal", old, new, word, f"{count} problems end differently" if count else "")

@@ -197,9 +197,9 @@ class Search:
     candidates_path : FILE
         Feasible pairs: two columns, source row and target row, counted from 0. Default: all pairs.
     mode : NAME
-        Search mode. In 2D: {modes_2d}. In 3D: {modes_3d}; similarity3d only has full. Default: {auto},
-        which in 3D selects full, or for rigid3d paper if a bound is requested, for more than 4 million
-        point pairs, or with a certificate for more than 160 thousand.
+        Search mode. In 2D: {modes_2d}. In 3D: {modes_3d}; similarity3d only has full. Default: {auto}.
+        In 3D it selects full. For rigid3d it selects paper instead if a bound is given, for more than
+        4,000,000 point pairs, or for a certificate of more than 160,000.
     bound : NAME
         Lower bounding function: {bounds}; 'a+b' takes the maximum of two.
     start_box : NAME
@@ -224,8 +224,9 @@ class Search:
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
-        Search for a proof to the limits. By default, searches in mode full (in a sweep, only those of
-        samples) end after a few seconds without a proof, unless --node-limit is set.
+        Search for a proof to the limits. By default, a search in mode full, or of a sample, ends after a
+        few seconds without a proof. Sweeps over all points, and searches with --node-limit, continue to
+        their limits.
     downsample : N
         Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
         refine the pose on all points.
@@ -269,8 +270,8 @@ class Poses:
     ----------
     init : POSE
         Initial pose: a matrix as text or .npy, JSON written by dcreg, or one line in KITTI or TUM format.
-        The limits below are relative to this pose. Without limits, it only gives a first upper bound,
-        and certify rejects it.
+        --axis, --max-angle, --max-translation and --no-rotation refer to it. Without any of them, it only
+        gives a first upper bound, and certify rejects it.
     axis : X,Y,Z
         Only rotations about this axis (3D), in coordinates of the target: 0,0,1 for level scans.
     max_angle : DEG
@@ -315,8 +316,8 @@ class MatchSearch:
         Criterion for the pose: 'correspondences' is the cost of the matches; 'surfaces' also compares
         the surfaces of dense scans and gives no bounds.
     certify : switch
-        Prove bounds by branch and bound, to the time limit. Default: with --score correspondences, up to
-        25 seconds.
+        Run branch and bound to the time limit. By default, it runs for at most 25 seconds with --score
+        correspondences, and not at all with --score surfaces.
     rel_gap : X
         Gap at which to stop, as a share of the upper bound.
     abs_gap : X

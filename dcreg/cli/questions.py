@@ -141,8 +141,9 @@ def max_inliers(
 ) -> int:
     """Bound the largest number of one-to-one pairs that a pose can bring within a distance.
 
-    The lower bound is the number of pairs at the best pose found. The upper
-    bound is a number that no pose exceeds, which is proven.
+    The lower bound is the number of pairs at the best pose found. No pose
+    exceeds the upper bound. The answer says whether this was proven by the search
+    or only follows from the number of points.
 
     Exit code: 0 the bounds agree; 2 bad input; 3 the bounds differ; 4 an
     output file could not be written.

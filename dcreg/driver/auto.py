@@ -104,7 +104,11 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
             chosen_number=chosen,
             stages=[stage, *result.stages],
             n_assignments=result.n_assignments + choice.n_assignments,
-            warnings=[*choice_warnings(result.n_inliers, chosen, setup.problems), *result.warnings],
+            warnings=[
+                *choice_warnings(result.n_inliers, chosen, setup.problems),
+                *_left_pose(choice, pose, result),
+                *result.warnings,
+            ],
         )
 
 
@@ -153,6 +157,15 @@ def choice_warnings(
         yield (
             f"n_inliers={n_inliers} is uncertain: at another pose, {other} pairs fit nearly as well. "
             f"{_REMEDY}"
+        )
+
+
+def _left_pose(choice: _Choice, pose: np.ndarray | None, result: Result) -> Iterator[str]:
+    """Yield a warning if the search left the pose at which the number was chosen."""
+    if pose is not None and choice.is_distinct(pose, result.T_target_source):
+        yield (
+            f"n_inliers={result.n_inliers} was chosen at a clearly different pose, which the search then "
+            f"left for a better one. {_REMEDY}"
         )
 
 
@@ -211,12 +224,16 @@ class _Choice(abc.ABC):
 
     def _runner_up(self, fit: Fit, fits: Sequence[Fit]) -> int | None:
         """Return the number of pairs of a clearly different pose that is nearly as good, or None."""
-        moments, distinct = Moments.of(self.problem.source), DISTINCT * self.setup.frame.unit
-        others = [each for each in fits if moments.displacement(each.pose, fit.pose) > distinct]
+        others = [each for each in fits if self.is_distinct(each.pose, fit.pose)]
         other = min(others, key=lambda each: each.value, default=None)
         if other is None or other.value > NEARLY * max(fit.value, np.finfo(float).tiny):
             return None
         return min(int(self.numbers[-1]), round(self.number(other)[0]))
+
+    def is_distinct(self, one: np.ndarray, other: np.ndarray) -> bool:
+        """Tell whether two poses clearly differ, by how far apart they bring the source."""
+        apart = Moments.of(self.problem.source).displacement(one, other)
+        return bool(apart > DISTINCT * self.setup.frame.unit)
 
     def _poses(self) -> Iterator[np.ndarray]:
         """Yield poses to be followed: the initial guess, and the ends of local searches."""

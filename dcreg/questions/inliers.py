@@ -34,7 +34,7 @@ from dcreg.status import Status
 
 _MAX_PAIRS = 4_000_000  # point pairs; more do not fit into a dense matrix of distances
 _REFITS = 20
-_SHARE = 0.25  # of the time left, for one number of pairs
+_SHARE = 0.25  # of the time left, for one number of pairs; the last number gets the rest
 
 
 @dataclass(frozen=True, repr=False)
@@ -185,7 +185,7 @@ class _Bisection:
         self.tried: list[tuple[int, str]] = []
 
     def run(self, most: int) -> MaxInliers:
-        """Halve the range of numbers that are neither reached nor refuted."""
+        """Halve the range of numbers that are neither reached nor refuted, then count its end down."""
         refuted, unknown = most + 1, 0  # the smallest refuted number, the largest one not refuted
         while refuted - unknown > 1 and not self.budget.is_over:
             k = most if not self.tried else (unknown + refuted) // 2
@@ -197,16 +197,24 @@ class _Bisection:
             else:
                 unknown = k
             unknown = max(unknown, len(self.best[1]))
+        while self._is_open(refuted - 1) and not self.budget.is_over:
+            if self._solve(refuted - 1, share=1.0) is not Status.REFUTED:
+                break
+            refuted -= 1
         T, pairs = self.best
         return MaxInliers(
             self.distance, len(pairs), refuted - 1, most, T, pairs, self.tried,
             self.budget.elapsed(),
         )  # fmt: skip
 
-    def _solve(self, k: int) -> Status:
+    def _is_open(self, k: int) -> bool:
+        """Whether it is not known if k pairs are too many, and more time may tell."""
+        return k > len(self.best[1]) and dict(self.tried).get(k) in (None, Status.TIME_LIMIT)
+
+    def _solve(self, k: int, share: float = _SHARE) -> Status:
         """Decide whether k pairs can have an RMS residual of the distance; count at the pose found."""
         left = self.budget.left()
-        limit = None if left is None else max(0.05, _SHARE * left)
+        limit = None if left is None else max(0.05, share * left)
         found: Result = register_problem(
             self.problem.with_n_inliers(k), replace(self.limits, time_s=limit),
             replace(self.options, prove=True),

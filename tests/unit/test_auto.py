@@ -152,6 +152,21 @@ def test_a_choice_that_the_time_limit_cut_says_so(set_clock, monkeypatch):
     assert not enough.chosen_number.is_cut
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.5])
+def test_a_number_chosen_at_another_pose_is_reported(monkeypatch, angle):
+    """The evidence belongs to the pose of the choice, which the search may leave."""
+    turned, run = np.eye(3), auto._Choice.run
+    turned[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+
+    def from_another_pose(choice):
+        at, chosen, pose = run(choice)
+        return at, chosen, pose @ turned
+
+    monkeypatch.setattr(auto._Choice, "run", from_another_pose)
+    result = dcreg.register(*CLOUDS["similarity2d"], model="similarity2d", node_limit=1)
+    assert any("at a clearly different pose" in line for line in result.warnings) == bool(angle)
+
+
 def test_a_stopped_choice_still_gives_a_pose():
     options = dcreg.SolveOptions(listener=lambda event: True)
     result = dcreg.register(*CLOUDS["rigid3d"], model="rigid3d", options=options)

@@ -351,13 +351,17 @@ def test_lost_and_won_instances_are_named_everywhere(history, base, tmp_path, ca
     assert f"- lost: {', '.join(names)}" in text
 
 
-@pytest.mark.parametrize(("factor", "code"), [(1.0, 0), (1.3, 1)])
-def test_times_measured_in_turn_decide_the_exit_code(history, tmp_path, rng, factor, code):
+@pytest.mark.parametrize(
+    ("factor", "status", "code"),
+    [(1.0, "optimal", 0), (1.3, "optimal", 1), (1.0, "node_limit", 1)],
+)
+def test_solves_in_turn_decide_the_exit_code(history, tmp_path, rng, factor, status, code):
     rows = [
         {
             "group": "rigid3d", "problem": "p", "repetition": repetition, "cpu_s_base": 1.0,
             "cpu_s_head": factor * rng.uniform(0.98, 1.02), "n_nodes_base": 5, "n_nodes_head": 5,
-            "n_assignments_base": 7, "n_assignments_head": 7,
+            "n_assignments_base": 7, "n_assignments_head": 7, "status_base": "optimal",
+            "status_head": status,
         }
         for repetition in range(10)
     ]  # fmt: skip

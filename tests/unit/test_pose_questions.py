@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.cli import commands
+from dcreg.questions import inliers
 from dcreg.questions.certify import _percent_above
 from dcreg.result_parts import Stage
+from dcreg.status import Status
 from tests.results import run
 
 RNG = np.random.default_rng(0)
@@ -315,6 +317,24 @@ def test_a_number_of_points_is_not_called_a_proof(at_most, says):
     answer = dcreg.MaxInliers(0.1, 12, at_most, 20, np.eye(4), np.empty((12, 2), int), [], 1.0)
     assert answer.answer.startswith(f"12 to {at_most} pairs within 0.1")
     assert says in answer.answer
+
+
+def test_the_time_that_is_left_lowers_the_upper_end(monkeypatch):
+    """Numbers that their share of the time did not decide are searched again with the rest."""
+    solved, asked = inliers.register_problem, []
+
+    def slow(problem, limits, options):
+        asked.append(problem.n_inliers)
+        found = solved(problem, limits, options)
+        is_first = asked.count(problem.n_inliers) == 1
+        return replace(found, status=Status.TIME_LIMIT) if is_first else found
+
+    monkeypatch.setattr(inliers, "register_problem", slow)
+    target = np.vstack([TARGET[:14], 3.0 + RNG.standard_normal((6, 3))])
+    found = dcreg.max_inliers(SOURCE, target, distance=0.05, model="rigid3d", time_limit=60)
+    assert asked[:2] == [20, 20]
+    assert found.tried[:2] == [(20, "time_limit"), (20, "refuted")]
+    assert found.at_least <= found.at_most < 20
 
 
 @pytest.mark.parametrize(("distance", "count"), [(0.21, 3), (0.19, 2)])

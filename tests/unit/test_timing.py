@@ -8,7 +8,15 @@ import pytest
 
 from tests.bench import interleaved, planted
 from tests.bench.interleaved import COUNTED, MINIMUM_OF, REPETITIONS, TIMED
-from workflows.timing import FEWEST, hodges_lehmann, is_precise, judge, judge_work
+from workflows.timing import (
+    COUNTERS,
+    FEWEST,
+    hodges_lehmann,
+    is_precise,
+    judge,
+    judge_statuses,
+    judge_work,
+)
 
 
 def times(rng: np.random.Generator, factor: float) -> pd.DataFrame:
@@ -69,18 +77,47 @@ def test_more_repetitions_are_wanted_until_the_interval_is_narrow():
     assert is_precise(table.iloc[:0])  # nothing is timed
 
 
-def test_one_box_more_in_one_problem_is_worse():
-    table = pd.DataFrame(
-        {
-            "problem": ["a", "b"],
-            **{f"n_nodes_{side}": [10, 20] for side in ("base", "head")},
-            **{f"n_assignments_{side}": [10, 20] for side in ("base", "head")},
-        }
-    )
-    assert [work.verdict for work in judge_work(table)] == ["same", "same"]
-    table.loc[1, "n_nodes_head"] += 1
-    nodes, _ = judge_work(table)
-    assert (nodes.verdict, nodes.differing) == ("worse", ("b",))
+def counted(**changes):
+    """Return a table of two problems with two repetitions each, with some values changed."""
+    table = pd.DataFrame({"problem": ["a", "b"] * 2, "repetition": [0, 0, 1, 1]})
+    for side in ("base", "head"):
+        table = table.assign(**{f"status_{side}": "optimal"})
+        table = table.assign(**{f"{name}_{side}": [10, 20] * 2 for name in COUNTERS})
+    for column, (row, value) in changes.items():
+        table.loc[row, column] = value
+    return table
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict", "detail"),
+    [
+        ({}, "same", ""),
+        ({"n_nodes_head": ([1, 3], 21)}, "worse", "1 problems differ"),
+        ({"n_nodes_head": ([1, 3], 19)}, "better", "1 problems differ"),
+        ({"n_nodes_head": (3, 21)}, "worse", "between repetitions of the head"),
+        ({"n_nodes_head": (3, 19)}, "worse", "between repetitions of the head"),
+        ({"n_nodes_base": (3, 19)}, "changed", "between repetitions of the base"),
+    ],
+)
+def test_work_must_repeat_exactly(changes, verdict, detail):
+    nodes, assignments = judge_work(counted(**changes))
+    assert nodes.verdict == verdict
+    assert detail in nodes.detail
+    assert assignments.verdict == "same"
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict"),
+    [
+        ({}, "same"),
+        ({"status_head": (3, "node_limit")}, "worse"),
+        ({"status_base": (3, "node_limit")}, "changed"),
+        ({"status_base": (3, "node_limit"), "status_head": (3, "time_limit")}, "worse"),
+        ({"status_base": (3, "time_limit"), "status_head": (3, "time_limit")}, "same"),
+    ],
+)
+def test_a_proof_that_is_lost_is_worse(changes, verdict):
+    assert judge_statuses(counted(**changes)).verdict == verdict
 
 
 def test_sides_take_turns_and_the_minimum_of_their_solves_is_kept(tmp_path, monkeypatch):

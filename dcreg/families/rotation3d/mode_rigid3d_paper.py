@@ -5,7 +5,7 @@ from dcreg.families.rotation3d.search import search_rotation
 from dcreg.families.translation3d.space import Translation3D
 
 MODE = Mode(
-    "the paper's two stages: a translation in norm space, then a rotation for it",
+    "searches a translation in norm space, then a rotation for it; certifies the translation",
     Translation3D,
     rotation=search_rotation,
     in_norm_space=True,

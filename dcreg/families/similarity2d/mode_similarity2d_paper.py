@@ -26,7 +26,7 @@ def in_region() -> tuple[Any, None]:
 
 
 MODE = Mode(
-    "searches the similarity as the paper does; certifies the pose",
+    "searches the similarity; certifies the pose",
     Similarity2D,
     needs=("scale_range",),
     make_cover=make_cover,

@@ -22,7 +22,7 @@ PAPER = PaperFigure(
     differs=(
         "The paper states neither its levels nor its number of points, time limits, tolerances and start "
         "boxes; ours are in the protocol. More than 0.5 outliers per inlier are beyond its axes.",
-        "DC-Reg (ours) is added. RPM-HTB, RPM-PA and RPM-CAV are reconstructions from their papers.",
+        "DC-Reg (ours) is added. RPM-HTB, RPM-PA and RPM-CAV are our reconstructions.",
         "RPM-HTB is drawn with a fit to each relaxed matching; whether the original has it is not "
         "known. The tables also have it without.",
         "Times are those of our programs on the machine named below; the paper used MATLAB.",
