@@ -56,6 +56,9 @@ def weigh(weights, costs):
             costs[i, j] *= weights[i, j]
 
 
+NEAREST = 255.0  # the nearness of a cell at a point
+
+
 class NearnessField(NamedTuple):
     """Nearness of the cells of a cube to the target; one layer of cells in 2D.
 
@@ -65,8 +68,9 @@ class NearnessField(NamedTuple):
         The minimum vertex of the cube.
     cell : float
         Side of a cell.
-    values : (a, b, c) array
-        ``max(0, 1 - (d / reach)^2)``, d from the centre of the cell to the nearest point.
+    values : (a, b, c) uint8 array
+        ``max(0, 1 - (d / reach)^2)``, d from the centre of the cell to the nearest point, in steps of
+        1 / `NEAREST`. Small values, because the score of a pose looks at random cells.
     """
 
     origin: np.ndarray
@@ -90,30 +94,35 @@ def fill_nearness(points, reach, field):
                 d1 = (i1 + 0.5) * cell - y
                 for i2 in range(max(0, c - span), min(n2, c + span + 1)):
                     d2 = (i2 + 0.5) * cell - z
-                    near = 1.0 - (d0 * d0 + d1 * d1 + d2 * d2) / (reach * reach)
+                    near = NEAREST * (1.0 - (d0 * d0 + d1 * d1 + d2 * d2) / (reach * reach))
                     if near > values[i0, i1, i2]:
-                        values[i0, i1, i2] = near
+                        values[i0, i1, i2] = np.uint8(near)
+
+
+_DEVIATIONS = 1.5  # below its expected value, at which a sum ends
 
 
 @jit_part
-def overlap(R, t, points, field, floor, n_first, share):
-    """Return the summed nearness of the moved points; incomplete if it cannot exceed `floor`.
+def overlap(R, t, points, field, floor):
+    """Return the summed nearness of the moved points; 0 if it is unlikely to exceed `floor`.
 
-    The sum also ends early if the first `n_first` points score less than their part of `share` of
-    `floor`.
+    The points are in random order. If the sum of all n values in [0, 1] is `floor`, with mean f, the sum
+    of the first i has the mean f i and a variance of at most f (1 - f) i (1 - i / n). The sum ends if it
+    is more than `_DEVIATIONS` standard deviations below (a sequential test as in Matas and Chum 2005).
     """
-    n, cell, origin = points.shape[0], field.cell, field.origin
+    n, origin, per_cell = points.shape[0], field.origin, 1.0 / field.cell
     n0, n1, n2 = field.values.shape
+    mean = NEAREST * floor / n
+    spread = _DEVIATIONS * _DEVIATIONS * mean * (NEAREST - mean) / n
     score = 0.0
     for i in range(n):
         u, v, w = points[i, 0], points[i, 1], points[i, 2]
-        a = math.floor((R[0, 0] * u + R[0, 1] * v + R[0, 2] * w + t[0] - origin[0]) / cell)
-        b = math.floor((R[1, 0] * u + R[1, 1] * v + R[1, 2] * w + t[1] - origin[1]) / cell)
-        c = math.floor((R[2, 0] * u + R[2, 1] * v + R[2, 2] * w + t[2] - origin[2]) / cell)
+        a = math.floor((R[0, 0] * u + R[0, 1] * v + R[0, 2] * w + t[0] - origin[0]) * per_cell)
+        b = math.floor((R[1, 0] * u + R[1, 1] * v + R[1, 2] * w + t[1] - origin[1]) * per_cell)
+        c = math.floor((R[2, 0] * u + R[2, 1] * v + R[2, 2] * w + t[2] - origin[2]) * per_cell)
         if 0 <= a < n0 and 0 <= b < n1 and 0 <= c < n2:
             score += field.values[a, b, c]
-        if score + (n - 1 - i) <= floor:
-            return score
-        if i == n_first and score < share * floor * (i + 1) / n:
+        short = mean * (i + 1) - score
+        if short > 0.0 and short * short > spread * (i + 1) * (n - 1 - i):
             return 0.0
-    return score
+    return score / NEAREST

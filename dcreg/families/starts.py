@@ -29,7 +29,7 @@ def nearness_field(target: np.ndarray, reach: float, max_cells: int) -> Nearness
         3, -0.5 * cell
     )  # in 2D the points lie at the centres of the one layer of cells
     origin[:dim] = target.min(axis=0) - reach
-    field = NearnessField(origin, cell, np.zeros((size, size, size if dim == 3 else 1)))
+    field = NearnessField(origin, cell, np.zeros((size, size, size if dim == 3 else 1), np.uint8))
     fill_nearness(in_3d(target), reach, field)
     return field
 

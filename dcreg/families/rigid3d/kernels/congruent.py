@@ -14,9 +14,6 @@ import numpy as np
 from dcreg.families.kernels import overlap
 from dcreg.jit import jit, jit_part
 
-_N_FIRST = 12  # source points after which a pose is dropped if it scores less than ...
-_FIRST_SHARE = 0.3  # ... this share of the average score of the stored poses at this point
-
 
 @jit
 def frame(p, q, r, out):
@@ -76,7 +73,7 @@ def offer(R, t, weight, looked, field, scores, poses):
         if scores[other] < scores[worst]:
             worst = other
     floor = scores[worst] / weight
-    score = weight * overlap(R, t, looked, field, floor, _N_FIRST, _FIRST_SHARE)
+    score = weight * overlap(R, t, looked, field, floor)
     if score > scores[worst]:
         scores[worst] = score
         for a in range(3):

@@ -213,9 +213,6 @@ def shared_bounds(clouds, known, effort, boxes):
 # Their score is the number of source points near the target. Point sets are stored by row, (n, 2) and (m,
 # 2).
 
-_N_FIRST = 10  # source points after which a pose is dropped if it scores less than ...
-_FIRST_SHARE = 0.4  # ... this share of the average score of the stored poses at this point
-
 
 @jit
 def pair_poses(pairs, source, target, feasible, search, thetas, scores):
@@ -270,7 +267,7 @@ def pair_poses(pairs, source, target, feasible, search, thetas, scores):
                 floor = scores[at, worst] / weight
                 R[0, 0], R[0, 1], R[1, 0], R[1, 1] = a, -b, b, a
                 t[0], t[1] = theta[2], theta[3]
-                score = weight * overlap(R, t, looked, field, floor, _N_FIRST, _FIRST_SHARE)
+                score = weight * overlap(R, t, looked, field, floor)
                 if score > scores[at, worst]:
                     scores[at, worst] = score
                     for c in range(4):
