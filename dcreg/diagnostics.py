@@ -15,7 +15,7 @@ import numpy as np
 
 from dcreg.assignment.objective import is_large
 from dcreg.assignment.sparse import nearest_pairs
-from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED
+from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED, WITHIN_TOLERANCE
 from dcreg.problem import (
     Problem,
     apply_pose,
@@ -148,7 +148,7 @@ def nothing_proven(case: Case) -> str | None:
     if result.lower_bound > 0.0 or result.is_exact or result.reason == MAX_RMS_MET:
         return None
     known = "the lower bound is 0, which holds for every sum of squares: nothing is proven"
-    if result.status is Status.CONVERGED and result.gap_tol >= result.upper_bound:
+    if result.reason == WITHIN_TOLERANCE:
         what = "norms fit" if case.in_norm_space else "pose fits"
         return (
             f"{known}. The search ended because the {what} within the tolerance "

@@ -24,6 +24,7 @@ DEFAULT_RATIO = 1.5
 # Reason of status ``converged``, shared by results and warnings.
 NO_PROOF_EXPECTED = "proof not expected soon"
 MAX_RMS_MET = "a pose within max_rms was found"
+WITHIN_TOLERANCE = "fits within the tolerance"
 
 AUTO = "auto"  # the library chooses: the mode, or the number of pairs
 

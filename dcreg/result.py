@@ -13,7 +13,7 @@ from dcreg import text
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import Document, plain
-from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED
+from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED, WITHIN_TOLERANCE
 from dcreg.problem import InputError, OpenDirection, rotation_angle_deg, scale_of
 from dcreg.result_parts import (
     ChosenNumber,
@@ -158,14 +158,19 @@ class Result(Document):
         """Why the status is ``converged``; empty for another status."""
         if self.status is not Status.CONVERGED:
             return ""
-        if self.max_rms is not None and self.rmse_matched <= self.max_rms:
+        if self.max_rms is not None and not self._misses_max_rms:
             return MAX_RMS_MET
-        if self.gap_closed:
-            return "a later stage is not certified"
-        if self.gap <= self.gap_tol:
-            return "fits within the tolerance"
+        if (
+            self.max_rms is None and self.gap <= self.gap_tol
+        ):  # no tolerance decides about `max_rms`
+            return "a later stage is not certified" if self.gap_closed else WITHIN_TOLERANCE
         gave_up = any(stage.status is Status.CONVERGED for stage in self.stages)
         return NO_PROOF_EXPECTED if gave_up else "method's own end"
+
+    @property
+    def _misses_max_rms(self) -> bool:
+        """Whether the residual of the pairs exceeds `max_rms` by more than rounding."""
+        return self.max_rms is not None and self.rmse_matched > self.max_rms * (1.0 + 1e-9)
 
     @property
     def n_bounded(self) -> int:
@@ -311,12 +316,11 @@ class Result(Document):
                 f"refuted: no {scope} matches {text.count(self.n_inliers, 'pair')} with an RMS residual "
                 f"of at most {self.max_rms:g}; proven: it is at least {_above(rms, self.max_rms)}"
             )
+        is_certified = self.gap_closed and not self._misses_max_rms
         if status is not Status.CONVERGED:
             later = f"; certified for the {scope}, but a later stage did not finish"
-            return (
-                f"{status.value}: best pose so far{later if self.gap_closed else ', not certified'}"
-            )
-        certified = f"certified for the {scope}" if self.gap_closed else "not certified"
+            return f"{status.value}: best pose so far{later if is_certified else ', not certified'}"
+        certified = f"certified for the {scope}" if is_certified else "not certified"
         goes_on = self.reason == NO_PROOF_EXPECTED and not (self.downsampled or self.score)
         remedy = "; prove=True (--prove) searches longer" if goes_on else ""
         return f"converged: {self.reason}; {certified}{remedy}"

@@ -16,7 +16,7 @@ from dcreg.cli.files import BatchFiles, Outputs, SearchFiles
 from dcreg.cli.numbers import parse_count_or_auto, parse_counts
 from dcreg.cli.options import CloudFiles, Goal, MatchSearch, Poses, Quiet, Search
 from dcreg.cli.weights import WeightFiles
-from dcreg.names import AUTO, FIGURE_PACKAGES, NO_PROOF_EXPECTED, SWEEP_TEXT
+from dcreg.names import AUTO, FIGURE_PACKAGES, MAX_RMS_MET, SWEEP_TEXT
 
 if TYPE_CHECKING:
     import numpy as np
@@ -92,7 +92,8 @@ def register(
     keywords |= {"n_inliers": count, "max_rms": goal.max_rms}
     result = run_search(dcreg.register, *points, quiet=quiet, options=options, **keywords)
     code = _finish(result, points, clouds, outputs, files.certificate_path)
-    is_open = goal.max_rms is not None and result.reason == NO_PROOF_EXPECTED
+    is_converged = result.status is dcreg.Status.CONVERGED
+    is_open = goal.max_rms is not None and is_converged and result.reason != MAX_RMS_MET
     return code or (output.EXIT_LIMIT if is_open else output.EXIT_OK)
 
 

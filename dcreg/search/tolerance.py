@@ -36,8 +36,11 @@ class Tolerance:
 
     @property
     def enough(self) -> float:
-        """An upper bound of at most this value ends the search, whatever the lower bound."""
-        return max(self.abs, self.exact or 0.0, self.target or 0.0)
+        """An upper bound of at most this value ends the search, whatever the lower bound.
+
+        With a target, no gap ends the search before the target is met or refuted.
+        """
+        return max(self.abs if self.target is None else self.target, self.exact or 0.0)
 
     def is_exact(self, upper_bound: float) -> bool:
         """Tell whether an upper bound counts as 0."""

@@ -455,7 +455,9 @@ def test_a_refuted_residual_has_its_exit_code(files):
     assert "refuted: no rigid pose matches 20 pairs" in ran.output
 
 
-def test_a_residual_that_stays_open_has_the_exit_code_of_a_limit(files, monkeypatch):
+@pytest.mark.parametrize("tolerance", [(), ("--tol", "1")])
+def test_a_residual_that_stays_open_has_the_exit_code_of_a_limit(files, monkeypatch, tolerance):
+    """A tolerance above the residual found decides nothing."""
     solved = commands.run_search
 
     def gives_up(*arguments, **keywords):
@@ -466,7 +468,7 @@ def test_a_residual_that_stays_open_has_the_exit_code_of_a_limit(files, monkeypa
     monkeypatch.setattr(commands, "run_search", gives_up)
     ran = run(
         "register", str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d",
-        "--n-inliers", "20", "--max-rms", "0.001", "--quiet",
+        "--n-inliers", "20", "--max-rms", "0.001", "--quiet", *tolerance,
     )  # fmt: skip
     assert "proof not expected soon" in ran.output
     assert ran.exit_code == 3

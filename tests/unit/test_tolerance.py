@@ -59,6 +59,13 @@ def test_a_bound_of_zero_proves_exact_fits_only(lower, upper, status):
     assert Tolerance(0.01, 1.0, 1e-8).status(lower, upper) is status
 
 
+def test_no_gap_ends_a_search_before_its_target_is_decided():
+    tolerance = Tolerance(0.01, abs=1.0, exact=1e-8, target=0.5)
+    assert tolerance.enough == 0.5
+    assert tolerance.status(0.4, 0.6) is None
+    assert Tolerance(0.01, abs=1.0, exact=1e-8).enough == 1.0
+
+
 @given(TOLERANCES, st.floats(1e-3, 1e6), VALUES, VALUES)
 def test_a_target_is_refuted_only_by_a_bound_above_it(tolerance, target, a, b):
     tolerance, (lower, upper) = replace(tolerance, target=target), sorted((a, b))
