@@ -52,6 +52,7 @@ class MaxInliers(Answer):
     n_possible : int
         What the numbers of points allow; a smaller `at_most` is proven.
     T_target_source : (d+1, d+1) array
+        In the range of poses, also without pairs.
     assignment : (at_least, 2) int array
         The pairs: source row and target row.
     tried : list of (int, str)
@@ -129,7 +130,7 @@ def max_inliers(
     distance : float
         In units of the target.
     time_limit : float, optional
-        Seconds for all searches together; None or inf: no limit.
+        Seconds for all searches together, without compilation; None or inf: no limit.
     options : SolveOptions, optional
         As in `dcreg.register`, without certificate and downsampling.
 
@@ -187,7 +188,7 @@ class _Bisection:
     def run(self, most: int) -> MaxInliers:
         """Halve the range of numbers that are neither reached nor refuted, then count its end down."""
         refuted, unknown = most + 1, 0  # the smallest refuted number, the largest one not refuted
-        while refuted - unknown > 1 and not self.budget.is_over:
+        while refuted - unknown > 1 and not (self.tried and self.budget.is_over):
             k = most if not self.tried else (unknown + refuted) // 2
             status = self._solve(k)
             if status is Status.STOPPED:
@@ -219,6 +220,11 @@ class _Bisection:
             self.problem.with_n_inliers(k), replace(self.limits, time_s=limit),
             replace(self.options, prove=True),
         )  # fmt: skip
+        self.budget.clock.exclude(
+            found.time_setup_s
+        )  # as in other searches, compilation is not limited
+        if not self.tried:  # a pose that is admissible, even if it has no pairs
+            self.best = found.T_target_source, self.best[1]
         self.tried.append((k, found.status.value))
         self._count(found.T_target_source)
         return found.status

@@ -104,7 +104,7 @@ class Clock:
 
     @property
     def prepared_s(self) -> float:
-        """Seconds of all pauses that have ended."""
+        """Seconds that do not count, of pauses that have ended."""
         return self._state[1]
 
     @property
@@ -118,6 +118,11 @@ class Clock:
             moment = time.perf_counter() if paused_at is None else paused_at
             if state is self._state:  # otherwise a pause has begun or ended meanwhile
                 return moment - prepared_s
+
+    def exclude(self, seconds: float) -> None:
+        """Do not count seconds that have passed, such as those of a preparation."""
+        paused_at, prepared_s = self._state
+        self._state = paused_at, prepared_s + seconds
 
     @contextmanager
     def paused(self) -> Iterator[None]:

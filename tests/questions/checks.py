@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 import dcreg
-from dcreg.problem import apply_pose, largest_matching, nearest_rotation
+from dcreg.problem import apply_pose, largest_matching, nearest_rotation, scale_of
 from dcreg.status import Status
 from tests.questions.problems import Small, small
 
@@ -116,6 +116,11 @@ def check_max_inliers(number: int) -> Checked:
     moved, faults = apply_pose(found.T_target_source, p.source[rows]), []
     if (np.linalg.norm(moved - p.target[columns], axis=1) > distance * (1 + 1e-12)).any():
         faults.append("a pair is farther than the distance")
+    if p.pose_range is not None and not p.pose_range.contains(found.T_target_source):
+        faults.append(f"the pose {found.T_target_source.tolist()} is outside the range")
+    low, high = p.scale_range
+    if not low * (1 - 1e-9) <= scale_of(found.T_target_source) <= high * (1 + 1e-9):
+        faults.append("the scale of the pose is outside the range")
     if len(set(rows)) != found.at_least or len(set(columns)) != found.at_least:
         faults.append("the pairs are not one to one")
     if _within(p.source, p.target, found.T_target_source, 0.999 * distance) > found.at_least:

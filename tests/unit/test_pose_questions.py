@@ -1,6 +1,7 @@
 """Answers to questions about a pose: their words, files, errors, and the reader of poses."""
 
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -335,6 +336,34 @@ def test_the_time_that_is_left_lowers_the_upper_end(monkeypatch):
     assert asked[:2] == [20, 20]
     assert found.tried[:2] == [(20, "time_limit"), (20, "refuted")]
     assert found.at_least <= found.at_most < 20
+
+
+def test_the_time_limit_of_the_largest_number_excludes_preparation(monkeypatch):
+    solved, waited_s = inliers.register_problem, 1.0
+
+    def compiling(problem, limits, options):
+        time.sleep(waited_s)
+        found = solved(problem, limits, options)
+        return replace(found, time_setup_s=found.time_setup_s + waited_s)
+
+    monkeypatch.setattr(inliers, "register_problem", compiling)
+    target = np.vstack([TARGET[:19], [[9.0, 9.0, 9.0]]])
+    found = dcreg.max_inliers(SOURCE, target, distance=0.05, model="rigid3d", time_limit=waited_s)
+    assert len(found.tried) > 1
+    assert found.time_s < waited_s * len(found.tried)
+
+
+@pytest.mark.parametrize("time_limit", [1e-9, 1.0])
+def test_a_pose_without_pairs_is_in_its_range(time_limit):
+    around = np.eye(4)
+    around[:3, 3] = -50.0
+    pose_range = dcreg.PoseRange(max_angle=10, max_translation=0.1, around=around)
+    found = dcreg.max_inliers(
+        SOURCE[:5], TARGET[:5] + 10.0, distance=0.1, model="rigid3d", pose_range=pose_range,
+        time_limit=time_limit,
+    )  # fmt: skip
+    assert found.at_least == 0
+    assert pose_range.checked(SOURCE[:5], (1.0, 1.0)).contains(found.T_target_source)
 
 
 @pytest.mark.parametrize(("distance", "count"), [(0.21, 3), (0.19, 2)])
