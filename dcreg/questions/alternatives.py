@@ -128,8 +128,10 @@ class Alternatives(Answer):
         yield "answer", self.answer
         yield "distinct if", f"displaced by more than {self.min_displacement:.4g} (RMS)"
         yield "threshold", f"objective {self.threshold:.6g}"
-        if not self.is_complete:
-            yield "lower bound", f"{self.lower_bound:.6g} of any pose that is not listed"
+        bound = f"{self.lower_bound:.6g} of any pose that is not listed"
+        if not self.result.is_exact:
+            bound += f", {self.lower_bound / self.result.upper_bound:.4g} times that of the best pose"
+        yield "lower bound", bound
         for each in self.others:
             yield (
                 "other pose",

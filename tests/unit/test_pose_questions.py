@@ -110,6 +110,7 @@ def test_symmetric_shapes_have_all_their_poses():
     found = dcreg.alternatives(box, box @ TURN.T, n_inliers=8, model="rigid3d")
     assert found.is_complete
     assert [round(each.angle_deg) for each in found.others] == [180, 180, 180]
+    assert "times" not in dict(found.entries())["lower bound"]  # the best objective is 0
 
 
 def test_poses_are_distinct_beyond_the_displacement_given():
@@ -128,6 +129,9 @@ def test_a_shape_without_symmetry_has_one_pose():
     found = dcreg.alternatives(SOURCE, TARGET, **KEYWORDS)
     assert found.is_unique
     assert found.lower_bound >= 1.5 * found.result.upper_bound
+    words, _, ratio = dict(found.entries())["lower bound"].partition(", ")
+    assert words == f"{found.lower_bound:.6g} of any pose that is not listed"
+    assert float(ratio.split()[0]) >= 1.5
 
 
 def test_a_line_has_more_poses_than_are_listed():
