@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from dcreg import text
 from dcreg.assignment.objective import is_large
 from dcreg.assignment.sparse import nearest_pairs
 from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED, WITHIN_TOLERANCE
@@ -249,6 +250,18 @@ def _shape(points: np.ndarray, extent: float) -> str | None:
     return "coincide" if points.shape[1] == 2 or spread[0] <= smallest else "lie on one line"
 
 
+def sliding(case: Case) -> str | None:
+    """The clouds can slide on each other, so other pairs fit as well elsewhere."""
+    n = len(case.result.open_directions or [])
+    if n == 0 or case.undetermined is not None:
+        return None
+    return (
+        f"the clouds can slide along {text.count(n, 'direction')}, as planes do, and the pose is "
+        "uncertain along them (`open_directions` of the result). Use clouds with more shape, or restrict "
+        "the poses (pose_range)"
+    )
+
+
 def other_size(case: Case) -> str | None:
     """One cloud is much larger than the other."""
     source, target = rms_radius(case.problem.source), rms_radius(case.problem.target)
@@ -345,6 +358,7 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
     distant_pairs,
     scale_at_limit,
     undetermined,
+    sliding,
     other_size,
     few_pairs,
     loose_pairs,

@@ -94,11 +94,13 @@ class Result(Document):
         Covariance of ``xi`` in ``T_target_source @ Exp(xi)``, with rotation (radians) first, then
         translation, then the logarithm of the scale (in 2D zeros if it is fixed). It follows from the
         residuals of the pairs and assumes that the pairs are right, with independent and equally large
-        errors. It is far too small for scans of a surface at different points. None if the pairs do not
-        determine the pose.
-    open_directions : list of OpenDirection
+        errors. It is far too small for scans of a surface at different points, and too small if fewer
+        pairs than true ones are matched. None if the pairs do not determine the pose, or with a range of
+        poses.
+    open_directions : list of OpenDirection, optional
         Motions along which the clouds slide on each other, such as those of a plane. The pairs then fit
-        as well, so the covariance does not show them. Needs at least 200 target points.
+        as well, so the covariance does not show them. Empty below 200 target points. None, which means
+        not tested, with a range of poses.
     memory_estimate : MemoryEstimate, optional
         The memory that the solve was expected to need.
     warnings : list of str
@@ -133,7 +135,7 @@ class Result(Document):
     max_rms: float | None = None
     chosen_number: ChosenNumber | None = None
     covariance: np.ndarray | None = None
-    open_directions: list[OpenDirection] = field(default_factory=list)
+    open_directions: list[OpenDirection] | None = None
     memory_estimate: MemoryEstimate | None = None
     time_earlier_s: float = 0.0
     warnings: list[str] = field(default_factory=list)
@@ -301,6 +303,11 @@ class Result(Document):
                 f"the bounds refer to {text.count(sample.n_inliers, 'pair')} among {sample.n_source} "
                 f"source and {sample.n_target} target points; the pose is refined on all points",
             )
+        if self.covariance is not None:
+            yield "uncertainty", self._deviations(self.covariance)
+        if self.open_directions:
+            n = len(self.open_directions)
+            yield "open directions", f"{n}, which these standard deviations do not show"
         if self.score is None:
             yield "runner-up pose", "not known" if self.runner_up is None else str(self.runner_up)
         for warning in self.warnings:
@@ -324,6 +331,23 @@ class Result(Document):
         goes_on = self.reason == NO_PROOF_EXPECTED and not (self.downsampled or self.score)
         remedy = "; prove=True (--prove) searches longer" if goes_on else ""
         return f"converged: {self.reason}; {certified}{remedy}"
+
+    def _deviations(self, covariance: np.ndarray) -> str:
+        """Return the standard deviations of a small motion, in words."""
+        deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        n = 3 if len(covariance) > 4 else 1
+        rotation, shift, growth = np.split(deviations, [n, n + len(self.translation)])
+        parts = {
+            "rotation": (np.degrees(rotation), " deg"),
+            "translation": (shift, ""),
+            "scale": (100.0 * growth[growth > 0.0], " %"),
+        }
+        words = [
+            f"{name} {' '.join(f'{x:.3g}' for x in values)}{unit}"
+            for name, (values, unit) in parts.items()
+            if len(values)
+        ]
+        return f"standard deviations if the pairs are right: {', '.join(words)} (in the source)"
 
     def _proven_share(self) -> str:
         """Return what the lower bound proves, in words."""

@@ -248,7 +248,7 @@ class Finish:
         is_sample = result.downsampled is not None
         scope = _scope(problem, solution.scope, is_sample=is_sample)
         result = replace(result, certificate_scope=scope)
-        if problem.pose_range is None:  # the covariance is that of free poses
+        if problem.pose_range is None:  # both are those of free poses
             low, high = problem.scale_range
             has_scale = problem.has_scale and low < high
             weights = None if problem.weights is None else problem.weights.of(result.assignment)

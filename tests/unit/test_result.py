@@ -66,6 +66,24 @@ def test_the_verdict_states_what_is_certified(changes, words):
     assert words in str(result(**changes)).splitlines()[0]
 
 
+@pytest.mark.parametrize(
+    ("deviations", "words"),
+    [
+        ([0.01, 0.2, 0.3, 0.0], "rotation 0.573 deg, translation 0.2 0.3 (in the source)"),
+        ([0.01, 0.2, 0.3, 0.005], "rotation 0.573 deg, translation 0.2 0.3, scale 0.5 % (in"),
+    ],
+)
+def test_standard_deviations_are_printed(deviations, words):
+    entries = dict(result(covariance=np.diag(deviations) ** 2).entries())
+    assert words in entries["uncertainty"]
+    assert "open directions" not in entries
+    solid = np.eye(4)
+    free = result(T_target_source=solid, covariance=np.diag([0.01] * 3 + [0.2] * 3 + [0.005]) ** 2)
+    words = "rotation 0.573 0.573 0.573 deg, translation 0.2 0.2 0.2, scale 0.5 %"
+    assert words in dict(free.entries())["uncertainty"]
+    assert "uncertainty" not in dict(result().entries())
+
+
 def test_stages_are_listed_if_several_have_bounds():
     search = dcreg.Stage("search", 1.0, 5, 9, dcreg.Status.OPTIMAL, 0.5, 1.0)
     turn = dcreg.Stage("rotation", 1.5, 7, 9, dcreg.Status.TIME_LIMIT, 2.0, 9.0)

@@ -261,6 +261,20 @@ def test_a_result_states_both(rng):
     stated = result.to_dict()
     assert len(stated["covariance"]) == 6
     assert set(stated["open_directions"][0]) == {"rotation", "translation", "scale", "rise"}
+    assert dict(result.entries())["open directions"].startswith("3, ")
+    assert [line for line in result.warnings if "the clouds can slide along 3 directions" in line]
+
+
+def test_a_range_of_poses_has_no_uncertainty(rng):
+    source, target = two(plane, rng, 250)
+    pose_range = dcreg.PoseRange(axis=(0, 0, 1), max_angle=5.0)
+    result = dcreg.register(
+        source, target, n_inliers=250, model="rigid3d", pose_range=pose_range, node_limit=1
+    )
+    stated = result.to_dict()
+    assert stated["covariance"] is None
+    assert stated["open_directions"] is None
+    assert "uncertainty" not in dict(result.entries())
 
 
 def test_matches_and_similarities_have_a_covariance(rng):

@@ -86,7 +86,7 @@ def answers(
         "how sure is each direction?",
         f"rotation {np.degrees(sigma[:3]).round(1).tolist()} degrees, "
         f"translation {sigma[3:].round(3).tolist()} m; "
-        f"{len(found.open_directions)} open directions",
+        f"{len(found.open_directions or [])} open directions",
         "",
     )
 
