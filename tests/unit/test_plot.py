@@ -122,7 +122,8 @@ def test_a_narrow_stage_is_named_only_by_its_points(case):
 
 def test_page_states_the_result_once(case, tmp_path):
     source, target, outcome = case
-    outcome = replace(outcome, warnings=["too <far>; take more"])
+    covariance = 1e-4 * np.eye(4 if source.shape[1] == 2 else 6)
+    outcome = replace(outcome, warnings=["too <far>; take more"], covariance=covariance)
     path = tmp_path / "page.html"
     plot_registration(source, target, outcome, path, names=("a/scan & model.ply", "b.txt"))
     html = path.read_text(encoding="utf-8")
@@ -132,6 +133,7 @@ def test_page_states_the_result_once(case, tmp_path):
         '<meta name="viewport" content="width=device-width',
         "time_limit: best pose so far, not certified",
         "<li>too &lt;far&gt;; take more</li>",
+        "<dt>uncertainty</dt><dd>standard deviations if the pairs are right: rotation 0.573 ",
         "<dt>gap</dt><dd>0.5 (tolerance 0.25); the lower bound is 50.0 % of the upper bound</dd>",
         "<dt>scope of bounds</dt><dd>translation in norm space</dd>",
     ):
