@@ -18,7 +18,7 @@ from dcreg.search import Budget
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-# Points of both clouds from which one matching takes so long that there is only one.
+# Points of both clouds from which one matching takes so long that there is only one, without a proof.
 HUGE = 80_000
 _FEW = 4000  # source points that follow their nearest neighbours
 _MANY = 16_000  # ... where only one matching follows
@@ -100,7 +100,8 @@ def descend(
     tree : cKDTree, optional
         Of the target.
     prove : bool
-        Whether the last matching should be optimal. It may take `_PROVING_SHARE` of the time left.
+        Whether the last matching should be optimal, except of huge clouds. It may take `_PROVING_SHARE`
+        of the time left.
     """
     following, left = budget, budget.left()
     if left:  # the first matching needs the rest
@@ -117,7 +118,8 @@ def descend(
         value = residual(problem, T, pairs)
     before = max(value, residual(problem, T_target_source, pairs))
     is_exact = value <= exact_objective(problem.source, problem.target, problem.n_inliers)
-    if prove and not (greedy or is_exact or budget.is_over):
+    is_done = greedy or is_exact or budget.is_over or is_huge(problem)
+    if prove and not is_done:
         proving = budget.isolated_sub_budget(_PROVING_SHARE)
         proved, best = _matched(problem, T, proving.stop, prove=True)
         spent += 1

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.families import starts
+from dcreg.families.kernels import overlap
 from dcreg.families.parallel import in_threads
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rigid3d.starts import (
@@ -212,3 +213,14 @@ def test_a_far_outlier_costs_no_memory(rng, monkeypatch):
     points[0] = 1e6
     congruent_poses(points[:50], points, SCALES[0])
     assert max(sizes) < 200e6
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5])
+def test_an_overlap_ends_early_only_where_it_is_far_below_the_floor(rng, share):
+    target, is_near = rng.random((50, 3)), rng.random(60) < share
+    field = starts.nearness_field(target, 0.1, 64)
+    points = np.where(is_near[:, None], target[rng.integers(50, size=60)], 9.0)
+    whole = overlap(np.eye(3), np.zeros(3), points, field, 0.0)
+    assert 0.9 * is_near.sum() <= whole <= is_near.sum()  # cells are a third of the reach
+    assert overlap(np.eye(3), np.zeros(3), points, field, 0.5 * whole) == whole
+    assert overlap(np.eye(3), np.zeros(3), points, field, 1.5 * whole + 10.0) == 0.0
