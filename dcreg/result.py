@@ -162,9 +162,8 @@ class Result(Document):
             return ""
         if self.max_rms is not None and not self._misses_max_rms:
             return MAX_RMS_MET
-        if (
-            self.max_rms is None and self.gap <= self.gap_tol
-        ):  # no tolerance decides about `max_rms`
+        # no tolerance decides about `max_rms`
+        if self.max_rms is None and self.gap <= self.gap_tol:
             return "a later stage is not certified" if self.gap_closed else WITHIN_TOLERANCE
         gave_up = any(stage.status is Status.CONVERGED for stage in self.stages)
         return NO_PROOF_EXPECTED if gave_up else "method's own end"

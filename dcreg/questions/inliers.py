@@ -220,9 +220,8 @@ class _Bisection:
             self.problem.with_n_inliers(k), replace(self.limits, time_s=limit),
             replace(self.options, prove=True),
         )  # fmt: skip
-        self.budget.clock.exclude(
-            found.time_setup_s
-        )  # as in other searches, compilation is not limited
+        # as in other searches, the time limit does not include compilation
+        self.budget.clock.exclude(found.time_setup_s)
         if not self.tried:  # a pose that is admissible, even if it has no pairs
             self.best = found.T_target_source, self.best[1]
         self.tried.append((k, found.status.value))
