@@ -130,7 +130,9 @@ class Alternatives(Answer):
         yield "threshold", f"objective {self.threshold:.6g}"
         bound = f"{self.lower_bound:.6g} of any pose that is not listed"
         if not self.result.is_exact:
-            bound += f", {self.lower_bound / self.result.upper_bound:.4g} times that of the best pose"
+            bound += (
+                f", {self.lower_bound / self.result.upper_bound:.4g} times that of the best pose"
+            )
         yield "lower bound", bound
         for each in self.others:
             yield (
