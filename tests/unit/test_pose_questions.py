@@ -379,6 +379,8 @@ def test_poses_of_all_formats_are_the_same(tmp_path, best):
         ("{" * 5, "JSON without a matrix"),
         ("0 1 2 3 0 0 0 2", "quaternion"),
         ("1 0 0 0 1 0 0 1 1", "last row"),
+        ("# time tx\n1 0 0 0 0 0 0 1\n2 0 0 1 0 0 0 1", "2 poses, .*; give a file with one line"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n" * 3, "3 poses, one per line"),
     ],
 )
 def test_what_holds_no_pose_is_refused_with_its_name(tmp_path, content, words):
