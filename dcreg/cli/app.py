@@ -7,25 +7,27 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import is_dataclass
 from functools import partial
 from typing import Annotated, Any, NoReturn, get_type_hints
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.interrupts import Interrupt, leave
 from dcreg.cli.numbers import parse_count
-from dcreg.cli.options import ARGUMENTS, flag, parameters_of
+from dcreg.cli.options import ARGUMENTS, Poses, flag, parameters_of
 
 # In the order of the help.
 ORDER = (
     "register", "sweep", "register-matches", "certify", "alternatives", "max-inliers", "batch",
     "verify", "version",
 )  # fmt: skip
+ALL_POSES = "alternatives", "register-matches"
 
 
 class Commands(TyperGroup):
@@ -40,6 +42,20 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
         except Interrupt as interrupt:
             leave(interrupt)
+
+
+class OneCommand(TyperCommand):
+    """A command; the searches of all poses say why they lack the options of a range."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Refuse the options of a range where there are none, before Typer guesses others."""
+        given = [name for arg in args if (name := arg.partition("=")[0]) in Poses.LIMITS.values()]
+        if given and self.name in ALL_POSES:
+            output.print_error(
+                f"{given[0]}: `dcreg {self.name}` searches all poses and has no range; omit {given[0]}"
+            )
+            raise typer.Exit(output.EXIT_INPUT)
+        return super().parse_args(ctx, args)
 
 
 app = typer.Typer(
@@ -60,7 +76,6 @@ def command(function: Callable[..., int]) -> Callable[..., int]:
     groups: dict[str, Any] = {name: kind for name, kind in hints.items() if is_dataclass(kind)}
     parameters = list(parameters_of(function))
     parameters.sort(key=lambda each: each.default is not inspect.Parameter.empty)
-    # the library's messages begin with the name of an argument, which is an option here
     names = {each.name for each in parameters}.difference(ARGUMENTS)
     options = {name.removesuffix("_path"): flag(name) for name in names}
 
@@ -73,16 +88,29 @@ def command(function: Callable[..., int]) -> Callable[..., int]:
         try:
             code = function(**given)
         except dcreg.InputError as error:
-            name, colon, rest = str(error).partition(":")
-            output.print_error(f"{options.get(name, name)}{colon}{rest}")
+            poses = given.get("poses")
+            ranges = {"pose_range": poses.limits} if poses and poses.limits else {}
+            output.print_error(_with_options(str(error), options | ranges))
             code = output.EXIT_INPUT
         raise typer.Exit(code)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {each.name: each.annotation for each in parameters}
     about, *_ = (inspect.getdoc(function) or "").split("\n\nParameters\n")
-    app.command(help=about)(run)
+    app.command(help=about, cls=OneCommand)(run)
     return function
+
+
+def _with_options(message: str, options: dict[str, str]) -> str:
+    """Return a message of the library, which names arguments, with the options instead.
+
+    It begins with the name of an argument. Further on, only names with an underscore differ from words.
+    """
+    name, colon, rest = message.partition(":")
+    for each, option in options.items():
+        if "_" in each:
+            rest = re.sub(rf"(?<![\w./'\"-]){each}(?![\w./='\"(])", option, rest)
+    return f"{options.get(name, name)}{colon}{rest}"
 
 
 def run_search(

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, is_dataclass
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args, get_type_hints
 
 import typer
 
@@ -283,11 +283,22 @@ class Poses:
         Search rotations and translations, or only translations.
     """
 
+    LIMITS: ClassVar = {
+        "axis": "--axis", "max_angle": "--max-angle", "max_translation": "--max-translation",
+        "rotation": "--no-rotation",
+    }  # fmt: skip
+
     init: str | None = None
     axis: str | None = None
     max_angle: float = 180.0
     max_translation: float = math.inf
     rotation: bool = True
+
+    @property
+    def limits(self) -> str:
+        """The options that restrict the poses, if any is given, for messages."""
+        changed = [name for name in self.LIMITS if getattr(self, name) != getattr(Poses, name)]
+        return " and ".join(self.LIMITS[name] for name in changed)
 
     def settings(self) -> tuple[dcreg.PoseRange | None, np.ndarray | None]:
         """Return the range of poses, if it is restricted, and the initial guess."""

@@ -88,9 +88,9 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
     if options.bound is not None or options.certificate:
         name = name or choose_mode(problem, options.bound, options.certificate)
     if name is not None and options.downsample is None:  # before kernels are compiled
-        _check(find_mode(problem.model, name), problem)
+        _check(find_mode(problem.model, name), problem, options.bound)
     setup = Setup.of(_problems(problem), limits, options)
-    _check(setup.mode, setup.searched[-1])
+    _check(setup.mode, setup.searched[-1], options.bound)
     is_many = setup.is_sampled or len(problem.source) * len(problem.target) > MANY_PAIRS
     kind = _ByNeighbours if is_many and problem.candidates is None else _ByPairs
     with setup.budget() as budget:
@@ -112,12 +112,12 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
         )
 
 
-def _check(mode: Mode, problem: Problem) -> None:
+def _check(mode: Mode, problem: Problem, bound: str | None) -> None:
     """Refuse a mode that knows no poses."""
     if mode.in_norm_space:
         raise InputError(
             "n_inliers: the library chooses it by a search over poses; give a number, or change this: "
-            + norms_only(mode, problem)
+            + norms_only(mode, problem, bound=bound)
         )
 
 

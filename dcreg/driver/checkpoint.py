@@ -54,7 +54,7 @@ def open_checkpoint(
     if mode.rotation is not None:
         raise InputError(
             "checkpoint: only a search over poses can be continued; omit checkpoint, or change this: "
-            + norms_only(mode, problem)
+            + norms_only(mode, problem, bound=options.bound)
         )
     if problem.pose_range is not None and problem.pose_range.has_limits:
         raise InputError(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dcreg.assignment.objective import AT_ONCE_PAIRS
 from dcreg.driver.modes import MAX_PAIRS, NORM_PAIRS, is_matrix_free
-from dcreg.families.mode import Mode
+from dcreg.families.mode import Mode, all_modes
 from dcreg.families.registry import bound_parts
-from dcreg.names import DEFAULT_BOUND, mode_names
+from dcreg.names import DEFAULT_BOUND, MODEL_DIM, mode_names
 from dcreg.problem import InputError, Problem
 
 FEWER_POINTS = "give fewer points, such as keypoints"
@@ -28,21 +28,24 @@ def check_mode(
     ------
     InputError
     """
-    check_bound(mode, bound)
+    searches_poses = has_init or has_max_rms or problem.pose_range or problem.weights
+    check_bound(mode, bound, may_change_mode=not searches_poses)
     if certificate and not mode.certifies:
-        remedy = f"no mode of {problem.model} does, so omit certificate"
-        remedy = "use mode 'paper'" if _has_paper(problem.model) else remedy
-        raise InputError(f"certificate: mode {mode.name!r} makes none; {remedy}")
-    for name, given in (("init", has_init), ("max_rms", has_max_rms)):
-        if given and mode.in_norm_space:
-            # a sample says nothing about max_rms on all points
-            few = FEWER_POINTS if has_max_rms else SAMPLE
-            raise InputError(f"{name}: {norms_only(mode, problem, few)}")
+        raise InputError(
+            f"certificate: mode {mode.name!r} of {problem.model} makes none; {_certifying(problem)}"
+        )
+    if mode.in_norm_space and (has_init or has_max_rms):
+        # the question may be that of `certify` or `max_inliers`, which have neither init nor max_rms
+        name = "source, target" if _has_many_pairs(problem) else "mode"
+        what = "pose" if has_init else "residual"
+        # a sample says nothing about max_rms on all points
+        few = FEWER_POINTS if has_max_rms else SAMPLE
+        only = norms_only(mode, problem, few, bound=bound)
+        raise InputError(f"{name}: a given {what} needs a search over poses, but {only}")
     if problem.pose_range is not None:
         if mode.in_region is None:
             raise InputError(
-                f"pose_range: mode {mode.name!r} searches all rotations; use mode 'full', or omit mode, "
-                "bound and certificate"
+                f"pose_range: mode {mode.name!r} searches all rotations; {_use_full(bound)}"
             )
         if certificate:
             raise InputError(
@@ -77,29 +80,43 @@ def _check_weights(mode: Mode, problem: Problem, others: dict[str, bool]) -> Non
         )
 
 
-def check_bound(mode: Mode, bound: str | None) -> None:
+def check_bound(mode: Mode, bound: str | None, *, may_change_mode: bool = True) -> None:
     """Refuse an unknown bound, and any bound if the mode has its own."""
     if bound is None:
         return
     bound_parts(bound)  # refuses unknown names
     if mode.make_bound is not None:
+        has_other = may_change_mode and "paper" in mode_names(mode.model)
         raise InputError(
             f"bound: mode {mode.name!r} has its own bounds and does not accept {bound!r}; leave "
-            f"the bound out{', or choose mode ' + repr('paper') if _has_paper(mode.model) else ''}"
+            f"the bound out{', or choose mode ' + repr('paper') if has_other else ''}"
         )
 
 
-def _has_paper(model: str) -> bool:
-    return "paper" in mode_names(model)
+def _certifying(problem: Problem) -> str:
+    """Return what to choose for a certificate: another mode, or a model for points of this dimension."""
+    able = [mode for mode in all_modes() if mode.certifies and MODEL_DIM[mode.model] == problem.dim]
+    for mode in able:
+        if mode.model == problem.model:
+            return f"use mode {mode.name!r}"
+    models = " or ".join(dict.fromkeys(mode.model for mode in able))
+    return f"use {models}, or omit certificate" if models else "omit certificate"
 
 
-def norms_only(mode: Mode, problem: Problem, few: str = SAMPLE) -> str:
+def _use_full(bound: str | None) -> str:
+    return f"use mode 'full'{' and omit bound' if bound else ''}"
+
+
+def _has_many_pairs(problem: Problem) -> bool:
+    """Tell whether there are too many pairs of points for a search over poses."""
+    return len(problem.source) * len(problem.target) > NORM_PAIRS
+
+
+def norms_only(mode: Mode, problem: Problem, few: str = SAMPLE, *, bound: str | None = None) -> str:
     """Return why no poses are searched, and what to do, for a message; `few` if the points are many."""
-    n, m = len(problem.source), len(problem.target)
-    if n * m > NORM_PAIRS:
+    if _has_many_pairs(problem):
         return (
-            f"{n:,} x {m:,} points are too many for a search over poses (at most {NORM_PAIRS:,} pairs of "
-            f"points); {few}"
+            f"{len(problem.source):,} x {len(problem.target):,} points are too many for a search over "
+            f"poses (at most {NORM_PAIRS:,} pairs of points); {few}"
         )
-    searched = f"mode {mode.name!r} searches norms, not poses"
-    return f"{searched}; use mode 'full', and omit bound and certificate"
+    return f"mode {mode.name!r} searches norms, not poses; {_use_full(bound)}"

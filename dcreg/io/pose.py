@@ -16,6 +16,7 @@ _FORMATS = (
     "give a matrix (4 x 4 or 3 x 3, as text or .npy), JSON of dcreg, one line of KITTI (12 numbers), or "
     "one line of TUM (time, translation, quaternion x y z w)"
 )
+_SIZES = 8, 9, 12, 16  # numbers of a pose: TUM, 3 x 3, KITTI, 4 x 4
 
 
 def read_pose(path: str | Path) -> np.ndarray:
@@ -70,10 +71,16 @@ def _values(path: Path) -> np.ndarray:
         raise InputError(f"cannot be read as text ({error}); {_FORMATS}") from None
     if content.lstrip().startswith("{"):
         return _of_json(content)
-    lines = [line.split("#")[0] for line in content.splitlines()]
-    fields = [field for line in lines for field in line.replace(",", " ").split()]
+    lines = [line.split("#")[0].replace(",", " ").split() for line in content.splitlines()]
+    rows = [fields for fields in lines if fields]
+    widths = {len(fields) for fields in rows}
+    if len(rows) > 1 and len(widths) == 1 and not widths.isdisjoint(_SIZES):
+        raise InputError(
+            f"{len(rows)} poses, one per line, such as a trajectory; give a file with one line, "
+            "the pose from source to target"
+        )
     try:
-        return np.array([float(field) for field in fields])
+        return np.array([float(field) for fields in rows for field in fields])
     except ValueError as error:
         raise InputError(f"{error}; {_FORMATS}") from None
 

@@ -16,6 +16,7 @@ from dcreg.problem.geometry import (
     representative_points,
     rms_radius,
     rotation_angle_deg,
+    rotation_axis,
     rounding_error,
     scale_of,
     typical_radius,

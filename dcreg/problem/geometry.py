@@ -51,6 +51,15 @@ def angle_between_deg(T: np.ndarray, other: np.ndarray) -> float:
     return abs(rotation_angle_deg(nearest_rotation(T[:-1, :-1] @ other[:-1, :-1].T)))
 
 
+def rotation_axis(T: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the unit axis of the rotation from the (4, 4) pose `other` to `T`, in the target."""
+    turn = nearest_rotation(T[:-1, :-1] @ other[:-1, :-1].T)
+    axis = np.linalg.eigh(turn + turn.T)[1][:, -1]  # also for half turns
+    towards = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    along = float(axis @ towards) or float(axis[np.argmax(np.abs(axis))])
+    return axis * np.sign(along)
+
+
 class Moments(NamedTuple):
     """Mean and covariance of points, from which the displacement between two poses follows."""
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from dcreg.problem import (
     Problem,
     angle_between_deg,
     rms_radius,
+    rotation_axis,
 )
 from dcreg.questions.other_poses import Search
 from dcreg.result import Result
@@ -37,6 +39,7 @@ from dcreg.status import Status
 # In RMS radii of the target. Poses with a smaller displacement may differ by rounding.
 SMALLEST_DISPLACEMENT = 1e-6
 SOLVE_SHARE = 0.5  # of the time, for the best pose
+MOST_FOLDS = 12  # of a symmetry that is named
 
 
 @dataclass(frozen=True)
@@ -51,12 +54,29 @@ class Alternative:
         Angle of its rotation relative to that of the best pose.
     displacement : float
         RMS displacement of the source points relative to the best pose, in units of the target.
+    axis : (3,) array, optional
+        Axis of this rotation, in coordinates of the target; None in 2D.
+    fold : int, optional
+        The rotation is a multiple of a turn by 360 / `fold` degrees, up to `min_displacement`; None if
+        it is not for any number up to `MOST_FOLDS`, or if there is no rotation.
     """
 
     T_target_source: np.ndarray
     objective: float
     angle_deg: float
     displacement: float
+    axis: np.ndarray | None = None
+    fold: int | None = None
+
+    @property
+    def motion(self) -> str:
+        """How it differs from the best pose, in words."""
+        about = "" if self.axis is None else f" about ({', '.join(f'{x:.3g}' for x in self.axis)})"
+        fold = "" if self.fold is None else f" (a {self.fold}-fold turn)"
+        return (
+            f"rotated by {self.angle_deg:.4g} deg{about}{fold} and displaced by {self.displacement:.4g} "
+            "(RMS) relative to the best pose"
+        )
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,11 +155,7 @@ class Alternatives(Answer):
             )
         yield "lower bound", bound
         for each in self.others:
-            yield (
-                "other pose",
-                f"objective {each.objective:.6g}, rotated by {each.angle_deg:.4g} deg and displaced by "
-                f"{each.displacement:.4g} (RMS) relative to the best pose",
-            )
+            yield "other pose", f"objective {each.objective:.6g}, {each.motion}"
         yield "time", f"{self.time_s:.2f} s"
         yield "best pose", self.result.summary()
 
@@ -248,7 +264,9 @@ def find_alternatives(
             "points, such as keypoints, and no downsample"
         )
     if setup.mode.in_norm_space:
-        raise InputError(f"alternatives: {norms_only(setup.mode, problem, FEWER_POINTS)}")
+        raise InputError(
+            f"alternatives: {norms_only(setup.mode, problem, FEWER_POINTS, bound=options.bound)}"
+        )
     warm_up_region(setup.mode)
     with setup.budget() as budget:
         solving = budget.isolated_sub_budget(SOLVE_SHARE)
@@ -260,7 +278,7 @@ def find_alternatives(
         searched = replace(normalised, budget=budget)
         search = Search(setup, result, searched, min_displacement, ratio)
         status, lower_bound, known = search.run(best, minima, budget, max_others)
-        others = [_described(setup, result, *each) for each in known[1:]]
+        others = [_described(setup, result, search.distance, *each) for each in known[1:]]
         return Alternatives(
             status, result, search.distance, search.threshold, lower_bound * setup.frame.area, others,
             budget.elapsed(),
@@ -290,7 +308,15 @@ def _check(
     options.refuse_checkpoint()
 
 
-def _described(setup: Setup, result: Result, T: np.ndarray, value: float) -> Alternative:
-    pose, best = setup.frame.pose(T), result.T_certified
-    moved = Moments.of(setup.problems[0].source).displacement(pose, best)
-    return Alternative(pose, value * setup.frame.area, angle_between_deg(pose, best), moved)
+def _described(
+    setup: Setup, result: Result, distance: float, T: np.ndarray, value: float
+) -> Alternative:
+    pose, best, source = setup.frame.pose(T), result.T_certified, setup.problems[0].source
+    moved, angle = Moments.of(source).displacement(pose, best), angle_between_deg(pose, best)
+    share = Fraction(angle / 360.0).limit_denominator(MOST_FOLDS)
+    apart = np.radians(abs(angle - 360.0 * share)) * result.scale * rms_radius(source)
+    return Alternative(
+        pose, value * setup.frame.area, angle, moved,
+        axis=rotation_axis(pose, best) if len(pose) == 4 else None,
+        fold=share.denominator if share.denominator > 1 and apart <= distance else None,
+    )  # fmt: skip

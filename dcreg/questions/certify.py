@@ -183,8 +183,8 @@ def certify(
     chosen = SolveOptions.of(options)
     if chosen.init is not None:
         raise InputError(
-            "init: certify begins with the pose that it judges; omit init, or pass it as "
-            "PoseRange(around=...)"
+            "init: certify begins with the pose that it judges; omit init, or give a range of poses "
+            "around it (PoseRange(around=...), or --init with --max-angle)"
         )
     T = _admissible(checked_pose("pose", pose, problem.dim, has_scale=problem.has_scale), problem)
     clouds, k = (problem.source, problem.target), problem.n_inliers
@@ -215,7 +215,7 @@ def _admissible(T: np.ndarray, problem: Problem) -> np.ndarray:
         return T
     nearest = problem.pose_range.nearest(T)
     if np.abs(nearest - T).max() > _DIGITS * np.abs(T).max():
-        raise InputError("pose: outside pose_range; give a larger range, or another pose")
+        raise InputError("pose: not admitted by pose_range; give a larger range, or another pose")
     return nearest
 
 

@@ -161,6 +161,8 @@ def max_inliers(
     chosen = SolveOptions.of(options)
     if chosen.certificate:
         raise InputError("certificate: the question has none; omit it")
+    if chosen.downsample is not None:
+        raise InputError("downsample: the question refers to all points; omit it")
     chosen.refuse_checkpoint()
     most = first.max_n_inliers
     limits = Limits(time_s=time_limit, max_rms=distance)

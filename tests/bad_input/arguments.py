@@ -120,7 +120,7 @@ USAGE = {
     "no model": (register(model=None), "Missing option '--model'", HELP),
     "number by max_rms": (
         register("--max-rms", "1", n_inliers=None),
-        "--n-inliers: max_rms",
+        "--n-inliers: --max-rms",
         "give one",
     ),
     "unknown option": (register("--modl", "x"), "No such option: --modl", "--model"),
@@ -160,7 +160,7 @@ def _arguments() -> Iterator[Case]:
     for text, words in RANGES.items():
         yield Case("arguments", f"sweep n_inliers {text}", sweep(n_inliers=text), words)
     both = register("--tol", "0.1", "--abs-gap", "0.1")
-    yield Case("arguments", "two tolerances", both, ["--tol: 0.1", "abs_gap: 0.1", "give one"])
+    yield Case("arguments", "two tolerances", both, ["--tol: 0.1", "--abs-gap: 0.1", "give one"])
     for name, (options, *words) in IN_3D.items():
         yield Case("arguments", f"3D {name}", register(*options, dim=3), words)
     for name, (run, *words) in USAGE.items():

@@ -210,6 +210,21 @@ def test_pages_name_only_targets_that_exist(page):
     assert named_targets(page) <= declared_targets()
 
 
+def test_contributing_names_every_folder_of_tests():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    folders = {file.parent.name for file in (ROOT / "tests").glob("*/*.py")}
+    assert folders == set(re.findall(r"^\| `tests/([a-z_]+)`", text, re.M))
+
+
+def test_needs_are_counted_by_how_far_they_are_met():
+    text = (DOCS / "questions.md").read_text(encoding="utf-8")
+    _, _, table = text.partition("| need | answer | met |\n")
+    rows = re.findall(r"^\| .+ \| .+ \| (full|partly|no) \|$", table, re.M)
+    full, partly, no = (rows.count(met) for met in ("full", "partly", "no"))
+    assert f"these {len(rows)} needs" in text
+    assert f"{full} needs are met in full, {partly} partly and {no} not at all" in text
+
+
 def test_make_help_lists_the_documented_targets():
     """The table is generated from the Makefile; helpers that `help` hides are not public."""
     sys.path.insert(0, str(DOCS / "_extensions"))

@@ -1,6 +1,7 @@
 """Answers to questions about a pose: their words, files, errors, and the reader of poses."""
 
 import json
+import re
 import time
 from dataclasses import replace
 
@@ -95,6 +96,18 @@ def test_what_is_no_pose_is_refused(pose, words):
         dcreg.certify(SOURCE, TARGET, pose, **KEYWORDS)
 
 
+@pytest.mark.parametrize(
+    ("options", "remedy"),
+    [({"mode": "paper"}, "use mode 'full'"), ({"bound": "dc"}, "use mode 'full' and omit bound")],
+)
+def test_a_mode_without_poses_is_refused_without_settings_that_were_not_given(options, remedy):
+    options, why = dcreg.SolveOptions(**options), "searches norms, not poses"
+    with pytest.raises(dcreg.InputError, match=f"^mode: a given pose .* {why}; {remedy}$"):
+        dcreg.certify(SOURCE, TARGET, POSE, **KEYWORDS, options=options)
+    with pytest.raises(dcreg.InputError, match=f"^mode: a given residual .* {why}; {remedy}$"):
+        dcreg.max_inliers(SOURCE, TARGET, distance=0.1, model="rigid3d", options=options)
+
+
 # --- alternatives ----------------------------------------------------------------------------------
 
 
@@ -106,10 +119,15 @@ def test_symmetric_shapes_have_all_their_poses():
     )
     assert found.is_complete
     assert sorted(round(each.angle_deg) for each in found.others) == [72, 72, 144, 144]
+    assert {each.fold for each in found.others} == {5}
     box = np.array([[a, b, c] for a in (0.0, 3.0) for b in (0.0, 2.0) for c in (0.0, 1.0)])
     found = dcreg.alternatives(box, box @ TURN.T, n_inliers=8, model="rigid3d")
     assert found.is_complete
     assert [round(each.angle_deg) for each in found.others] == [180, 180, 180]
+    assert {each.fold for each in found.others} == {2}
+    axes = np.array([each.axis for each in found.others]) @ TURN  # in coordinates of the box
+    assert np.allclose(np.sort(np.abs(axes), axis=1), [0.0, 0.0, 1.0])
+    assert "(a 2-fold turn)" in str(found)
     assert "times" not in dict(found.entries())["lower bound"]  # the best objective is 0
 
 
@@ -186,9 +204,11 @@ def test_messages_about_large_clouds_name_no_mode():
     with pytest.raises(dcreg.InputError, match=words):
         dcreg.register(cloud, cloud, max_rms=0.1, **given)
     options = dcreg.SolveOptions(downsample=3000, init=np.eye(4))
-    with pytest.raises(dcreg.InputError, match=r"init: 2,001 x .*; search a smaller sample"):
+    words = r"source, target: a given pose .* 2,001 x .*; search a smaller sample"
+    with pytest.raises(dcreg.InputError, match=words):
         dcreg.register(cloud, cloud, options=options, **given)
-    with pytest.raises(dcreg.InputError, match=f"alternatives: {words}"):
+    words = "alternatives: 2,001 x 2,001 points .*; give fewer points, such as keypoints"
+    with pytest.raises(dcreg.InputError, match=words):
         dcreg.alternatives(cloud, cloud, options=dcreg.SolveOptions(downsample=3000), **given)
 
 
@@ -213,7 +233,10 @@ def test_a_residual_is_met_or_refuted(best):
         ({"max_rms": 0.0}, "max_rms"),
         ({"max_rms": 0.1, "options": dcreg.SolveOptions(mode="paper")}, "searches norms"),
         ({"max_rms": 0.1, "options": dcreg.SolveOptions(downsample=10)}, "downsample"),
-        ({"options": dcreg.SolveOptions(init=np.eye(4), mode="paper")}, "init"),
+        (
+            {"options": dcreg.SolveOptions(init=np.eye(4), mode="paper")},
+            "mode: a given pose .* mode 'paper' searches norms, not poses; use mode 'full'$",
+        ),
         ({"options": dcreg.SolveOptions(init=np.eye(3))}, "init: shape"),
         ({"pose_range": dcreg.PoseRange(axis=(0, 0, 0))}, "axis: all zero"),
         ({"pose_range": dcreg.PoseRange(axis="z")}, "axis"),
@@ -224,7 +247,9 @@ def test_a_residual_is_met_or_refuted(best):
         ({"pose_range": dcreg.PoseRange(pivot=(0, 0))}, "pivot"),
         ({"pose_range": "z"}, "not a PoseRange"),
         ({"pose_range": dcreg.PoseRange(max_angle=9), "options": dcreg.SolveOptions(mode="paper")},
-         "pose_range: mode"),
+         "pose_range: mode 'paper' searches all rotations; use mode 'full'$"),
+        ({"pose_range": dcreg.PoseRange(max_angle=9), "options": dcreg.SolveOptions(bound="dc")},
+         "does not accept 'dc'; leave the bound out$"),
     ],
 )  # fmt: skip
 def test_bad_settings_are_refused(given, words):
@@ -412,6 +437,8 @@ def test_poses_of_all_formats_are_the_same(tmp_path, best):
         ("{" * 5, "JSON without a matrix"),
         ("0 1 2 3 0 0 0 2", "quaternion"),
         ("1 0 0 0 1 0 0 1 1", "last row"),
+        ("# time tx\n1 0 0 0 0 0 0 1\n2 0 0 1 0 0 0 1", "2 poses, .*; give a file with one line"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n" * 3, "3 poses, one per line"),
     ],
 )
 def test_what_holds_no_pose_is_refused_with_its_name(tmp_path, content, words):
@@ -472,11 +499,42 @@ def test_ranges_are_options_of_all_searches(files):
         assert ran.exit_code in (0, 3), ran.output
         assert (json.loads(out.read_text())["at_least"] == 20) == fits
         ran = run("certify", str(files / "pose.txt"), *clouds, *pairs, *options)
-        assert ("outside pose_range" in ran.output) != fits, ran.output
+        assert ("not admitted by --axis" in ran.output) != fits, ran.output
     ran = run(
         "certify", str(files / "pose.txt"), *clouds, *pairs, "--init", str(files / "pose.txt")
     )
     assert "--init: certify begins with the pose that it judges" in ran.output
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--source-weights", "w.txt"], "--axis: cannot be combined with weights; omit --axis or"),
+        (["--certificate", "c.npz"], "--certificate: `dcreg verify` .* certificate or --axis$"),
+        (["--max-angle", "9", "--mode", "paper"], "--axis and --max-angle: mode 'paper' searches"),
+        (
+            ["--max-angle", "9", "--checkpoint", "c.npz"],
+            "omit checkpoint, or --max-angle and --max-translation$",
+        ),
+        (["--max-angle", "9", "--model", "similarity3d"], "--axis and --max-angle: similarity3d"),
+    ],
+)
+def test_messages_about_ranges_name_the_options_that_were_given(files, monkeypatch, options, words):
+    monkeypatch.chdir(files)
+    np.savetxt("w.txt", np.arange(1.0, 21.0))
+    clouds = ["a.xyz", "b.xyz", "--model", "rigid3d", "--n-inliers", "20", "--quiet"]
+    ran = run("register", *clouds, "--axis", "0,0,1", *options)
+    assert ran.exit_code == 2
+    assert re.search(words, ran.output.strip()), ran.output
+
+
+@pytest.mark.parametrize("option", ["--axis=0,0,1", "--max-angle=9", "--no-rotation"])
+def test_a_search_of_all_poses_says_that_it_has_no_range(files, option):
+    clouds = [str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d"]
+    ran = run("alternatives", *clouds, "--n-inliers", "20", option)
+    assert ran.exit_code == 2
+    name = option.partition("=")[0]
+    assert f"error: {name}: `dcreg alternatives` searches all poses and has no range" in ran.output
 
 
 def test_a_refuted_residual_has_its_exit_code(files):

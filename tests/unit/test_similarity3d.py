@@ -141,7 +141,7 @@ def test_certify_and_sweep_work():
         ({"pose_range": dcreg.PoseRange(max_angle=30)}, "pose_range: similarity3d"),
         (
             {"certificate": True},
-            "certificate: mode 'full' makes none; no mode of similarity3d does, so omit certificate",
+            "certificate: mode 'full' of similarity3d makes none; use rigid3d, or omit certificate",
         ),
         ({"bound": "tight"}, "leave the bound out$"),
         ({"mode": "paper"}, "mode: 'paper' is unknown for similarity3d"),
