@@ -371,6 +371,14 @@ def test_solves_in_turn_decide_the_exit_code(history, tmp_path, rng, factor, sta
     assert CliRunner().invoke(app, arguments).exit_code == code
 
 
+@pytest.mark.parametrize("option", ["--times", "--text"])
+def test_an_option_that_exact_would_ignore_is_refused(option, tmp_path, capfd):
+    arguments = ["compare", "a", "b", "--exact", option, str(tmp_path / "none")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert f"error: {option}: needs verdicts" in result.output + capfd.readouterr().err
+
+
 def test_an_empty_history_names_the_command_to_record(tmp_path):
     with pytest.raises(recording.RecordError, match="make record VERSION=v1"):
         compare("v1", "v2", tmp_path)
