@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from reports.tables import Tables, is_right
-from workflows.compare import SAME
+from workflows.judges import SAME
 from workflows.outcomes import attempted, comparable_times
 from workflows.significance import exact_p
 

@@ -223,6 +223,11 @@ def compare(
             f"versions ({known}), or folders of results"
         )
     if exact:
+        for name, given in (("--times", times), ("--text", text)):
+            if given:
+                raise UserError(
+                    f"{name}: needs verdicts, which --exact does not give; omit one of the two"
+                )
         from workflows.exact import differences, print_differences, read
 
         found = differences(read(Path(base)), read(Path(head)))

@@ -82,7 +82,7 @@ def of_results(folder: Path) -> Record:
                 **{
                     key: card.get(key) for key in ("baseline", "display_name", "version", "options")
                 },
-                **{key: card.get(key) for key in ("n_inliers_ratio", "limits")},
+                **{key: card.get(key) for key in ("deterministic", "n_inliers_ratio", "limits")},
                 "fingerprint": _fingerprint(runs, name),
                 "code": registry.code_hash(card["baseline"]) if is_own else "",
             }

@@ -24,7 +24,10 @@ def outcome(verdicts: pd.DataFrame) -> str:
     kinds = ("better", "changed", "unclear", "not compared")
     others = [f"{counts[word]} {word}" for word in kinds if word in counts]
     first = f"{worse} regression{'s' * (worse != 1)}" if worse else "no regression"
-    return ", ".join([first, *others])
+    skipped = verdicts.groupby("method", sort=False)["skipped"].sum()
+    left_out = [f"{count} runs of {method}" for method, count in skipped.items() if count]
+    tail = f"; left out: {', '.join(left_out)}" if left_out else ""
+    return ", ".join([first, *others]) + tail
 
 
 def print_verdicts(verdicts: pd.DataFrame, base: str, head: str) -> None:

@@ -35,11 +35,26 @@ MOST = 4  # times as many repetitions on a busy machine
 SETTINGS = {"mode": "paper", "polish": False, "prove": True, "time_limit": 120.0}
 FEW = {"bound": "dc", "node_limit": 60}  # most of their time is spent in compiled kernels
 TIGHT = {"bound": "tight"}
+# Limits on boxes make searches in default modes independent of elapsed time (`Budget.is_counted`).
+DEFAULT: dict[str, Any] = {"mode": None, "polish": True}
 Problem = tuple[Subject, dict[str, Any]]  # with the settings that differ from `SETTINGS`
-TIMED: list[Problem] = [
+TIMED: list[Problem] = [  # each kind of default search with few and with many point pairs
     (Subject("embedded", "fish", "mixed_outliers", 0.3, n_points=16, jitter=0.05), FEW),
     (Subject("embedded", "glyph", "mixed_outliers", 0.3, n_points=16, jitter=0.05), FEW),
     (Subject("embedded", "pony", "noise", 0.02, n_points=30, tau=0.01), TIGHT),
+    (Subject("embedded", "fish", "mixed_outliers", 0.3, n_points=24, jitter=0.05), DEFAULT),
+    (
+        Subject("embedded", "fish", "mixed_outliers", 0.3, n_points=60, jitter=0.05),
+        DEFAULT | {"node_limit": 500},
+    ),
+    (
+        Subject("embedded", "pony", "mixed_outliers", 0.3, n_points=24, tau=0.01),
+        DEFAULT | {"node_limit": 20_000},
+    ),
+    (
+        Subject("embedded", "pony", "mixed_outliers", 0.3, n_points=40, jitter=0.03, tau=0.01),
+        DEFAULT | {"node_limit": 3000},
+    ),
 ]
 COUNTED: list[Problem] = [
     (Subject("embedded", "fish", "mixed_outliers", 0.3, n_points=24, jitter=0.05), TIGHT),
@@ -110,9 +125,10 @@ def measure(
     Returns
     -------
     dict of str to DataFrame
-        For each head a row per problem and repetition: ``group`` (the model), ``problem``,
-        ``repetition``, and ``cpu_s``, ``status``, ``n_nodes`` and ``n_assignments`` of both checkouts,
-        which end with ``_base`` and ``_head``. ``cpu_s`` is empty for problems that are only counted.
+        For each head a row per problem and repetition: ``group`` (the model, and whether its default
+        mode is used), ``problem``, ``repetition``, and ``cpu_s``, ``status``, ``n_nodes`` and
+        ``n_assignments`` of both checkouts, which end with ``_base`` and ``_head``. ``cpu_s`` is empty
+        for problems that are only counted.
     """
     chosen = [*COUNTED, *timed]
     given = problems(chosen)
@@ -154,7 +170,9 @@ def measure(
 def _row(problem: Problem, model: str, repetition: int) -> dict[str, Any]:
     subject, settings = problem
     shown = ", ".join(f"{name} {value}" for name, value in settings.items())
-    return {"group": model, "problem": f"{subject}: {shown}", "repetition": repetition}
+    is_default = settings.items() >= DEFAULT.items()
+    group = f"{model}, default mode" if is_default else model
+    return {"group": group, "problem": f"{subject}: {shown}", "repetition": repetition}
 
 
 def main(
@@ -173,7 +191,7 @@ def main(
     out.parent.mkdir(parents=True, exist_ok=True)
     table.to_csv(out, index=False)
     for found in judge(table):
-        print(f"{found.group:<14} {found.verdict:<8} {found.summary}")
+        print(f"{found.group:<26} {found.verdict:<8} {found.summary}")
     print(out)
 
 

@@ -153,15 +153,21 @@ def test_a_method_with_other_settings_is_not_compared(base):
         assert found.verdict == "not compared"
         assert found.detail.startswith(f"{name} differ: ")
         shown = verdict_text.outcome(pd.DataFrame([asdict(found)]))
-        assert shown == "no regression, 1 not compared"
+        assert shown == f"no regression, 1 not compared; left out: {N_RUNS} runs of dcreg"
 
 
 def test_a_method_that_is_not_installed_on_one_side_is_not_compared(base):
     lost = {"status": "unavailable", "rmse": np.nan, "success": False}
-    assert verdicts(base, base.assign(**lost)) == {"runs": "not compared"}
     head = base.copy()
     head.loc[0, list(lost)] = list(lost.values())
-    assert set(verdicts(base, head).values()) == {"same"}
+    for count, new in ((N_RUNS, base.assign(**lost)), (1, head)):
+        (found,) = [v for v in judged(base, new) if v.verdict != "same"]
+        assert (found.metric, found.verdict, found.skipped) == ("runs", "not compared", count)
+        assert found.detail == f"{count} runs are unavailable in the head"
+        shown = verdict_text.outcome(pd.DataFrame([asdict(found)]))
+        assert shown == f"no regression, 1 not compared; left out: {count} runs of dcreg"
+        (found,) = [v for v in judged(new, base) if v.verdict != "same"]
+        assert (found.skipped, found.detail) == (0, f"{count} runs are unavailable in the base")
 
 
 def test_a_bound_above_the_truth_is_a_regression(base):
@@ -201,14 +207,14 @@ def test_integrals_over_boxes_are_judged_as_quality(base):
     assert verdicts(base, head)["median gap integral"] == "worse"
 
 
-def test_other_content_of_an_instance_is_not_compared(base):
+def test_other_content_of_an_instance_is_no_evidence_of_any_metric(base):
     head = base.assign(instance_digest="new", rmse=99.0)
-    assert verdicts(base, head) == {"runs": "not compared"}
+    assert verdicts(base, head) == {"runs": "worse"}
 
 
 def test_tests_of_several_metrics_are_corrected(base):
     """Six losses without a win are significant alone (p = 0.03), and not as one of two such tests."""
-    head = base.copy()
+    head = base.assign(machine_id="other")
     head.loc[:5, "success"] = False
     found = judged(base, head)
     assert corrected(found) == found
@@ -224,7 +230,7 @@ def test_tests_of_several_metrics_are_corrected(base):
 def test_tests_that_can_find_nothing_cost_the_others_nothing(base):
     """A method loses everything while others differ in one run."""
     old = pd.concat([base.assign(method=f"m{number}") for number in range(9)], ignore_index=True)
-    head = old.copy()
+    head = old.assign(machine_id="other")
     first = (old["method"] == "m0") & (old["trial"] < 6)
     head.loc[first, "success"] = False
     head.loc[(old["method"] != "m0") & (old["trial"] == 0), "rmse"] *= 1.001
@@ -240,14 +246,15 @@ def test_missing_runs_are_a_regression(base, kept):
     assert "worse" not in verdicts(base.iloc[:kept], base).values()
 
 
-def test_runs_with_another_input_are_named(base):
+@pytest.mark.parametrize(
+    ("changed", "word"), [(3, "not compared"), (10, "not compared"), (11, "worse")]
+)
+def test_runs_with_another_input_are_a_regression_if_they_are_most(base, changed, word):
     head = base.copy()
-    head.loc[3:, "instance_digest"] = "new"
-    (found,) = [v for v in judged(base, head) if v.metric == "runs"]
-    assert (found.verdict, found.detail) == (
-        "not compared",
-        f"{N_RUNS - 3} runs have another input",
-    )
+    head.loc[: changed - 1, "instance_digest"] = "new"
+    (found,) = [v for v in judged(base, head) if v.verdict != "same"]
+    assert (found.metric, found.verdict, found.skipped) == ("runs", word, changed)
+    assert found.detail == f"{changed} runs have another input"
 
 
 def test_an_experiment_that_is_missing_is_a_regression(base, tmp_path):
@@ -273,6 +280,42 @@ def test_more_work_in_most_runs_is_worse_whatever_the_sum(base):
 def test_a_number_that_is_no_longer_stated_is_a_regression(base, name, metric):
     assert verdicts(base, base.assign(**{name: np.nan}))[metric] == "worse"
     assert "worse" not in verdicts(base.assign(**{name: np.nan}), base).values()
+
+
+@pytest.mark.parametrize(
+    ("name", "metric"),
+    [
+        ("gap", "with gap"),
+        ("n_nodes", "n_nodes"),
+        ("gap_integral_boxes", "median gap integral"),
+    ],
+)
+@pytest.mark.parametrize("status", ["optimal", "node_limit"])
+def test_a_number_that_one_run_no_longer_states_is_a_regression(base, name, metric, status):
+    base = base.assign(status=status)
+    head = base.copy()
+    head[name] = head[name].where(head["trial"] > 0)
+    (found,) = [v for v in judged(base, head) if v.verdict != "same"]
+    assert (found.metric, found.verdict, len(found.lost)) == (metric, "worse", 1)
+    assert "worse" not in verdicts(head, base).values()
+    head.loc[0, "status"] = "failed"  # without a result there is nothing to state
+    assert verdicts(base, head)[metric] == "same"
+
+
+def test_a_lost_success_is_a_regression_unless_chance_or_time_may_explain_it(base):
+    head = base.copy()
+    head.loc[0, "success"] = False
+    assert verdicts(base, head)["success"] == "worse"
+    assert verdicts(base, head.assign(machine_id="other"))["success"] == "unclear"
+    old = base.copy()
+    old.loc[0, "status"] = "time_limit"
+    assert verdicts(old, head)["success"] == "unclear"
+    for cards in (({"deterministic": False}, {}), ({}, {"deterministic": False})):
+        words = {v.metric: v.verdict for v in judged(base, head, *cards)}
+        assert words["success"] == "unclear"
+    won = base.copy()
+    won.loc[1:12, "success"] = False
+    assert verdicts(won, head)["success"] == "worse"  # whatever was won
 
 
 def test_what_a_rule_decides_needs_no_test(base):
@@ -345,7 +388,7 @@ def test_lost_and_won_instances_are_named_everywhere(history, base, tmp_path, ca
     assert found["outcome"] == "regression"
     assert (success["lost"], success["won"], success["verdict"]) == (names, [], "worse")
     assert (success["unit"], success["better"]) == ("runs", "higher")
-    assert success["p_value"] == pytest.approx(2**-7)
+    assert success["p_value"] is None  # a rule decides, not the sign test
     text = files["--text"].read_text()
     assert text.startswith("### ❌ v1 → lost: 1 regression\n")
     assert f"- lost: {', '.join(names)}" in text
@@ -369,6 +412,14 @@ def test_solves_in_turn_decide_the_exit_code(history, tmp_path, rng, factor, sta
     times = ["--times", str(tmp_path / "times.csv")]
     arguments = ["compare", "v1", "same", "--history", str(history), *times]
     assert CliRunner().invoke(app, arguments).exit_code == code
+
+
+@pytest.mark.parametrize("option", ["--times", "--text"])
+def test_an_option_that_exact_would_ignore_is_refused(option, tmp_path, capfd):
+    arguments = ["compare", "a", "b", "--exact", option, str(tmp_path / "none")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2
+    assert f"error: {option}: needs verdicts" in result.output + capfd.readouterr().err
 
 
 def test_an_empty_history_names_the_command_to_record(tmp_path):

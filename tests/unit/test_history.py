@@ -41,7 +41,7 @@ def test_steps_are_the_verdicts_of_a_comparison(rng, tmp_path):
     first = table(rng)
     second = first.copy()
     second.loc[0, ["status", "rmse", "objective"]] = ["failed", np.nan, np.nan]
-    third = second.copy()
+    third = second.assign(machine_id="other")  # on one machine, a lost success is a step by itself
     third.loc[1:6, "success"] = False
     third.loc[1:6, "objective"] *= 1.1
     for day, runs in enumerate([first, second, third], start=1):

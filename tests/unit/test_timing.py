@@ -146,6 +146,24 @@ def test_sides_take_turns_and_the_minimum_of_their_solves_is_kept(tmp_path, monk
     assert all(one[1] != other[1] for one, other in zip(asked[::2], asked[1::2], strict=True))
 
 
+def test_default_modes_are_timed_in_groups_of_their_own():
+    """A slow-down of one mode must not disappear in the mean over others."""
+    models = {}
+    for problem, (given, options) in zip(TIMED, interleaved.problems(TIMED), strict=True):
+        row = interleaved._row(problem, given["model"], 0)
+        models.setdefault(row["group"], []).append(given["model"])
+        assert row["group"].endswith("default mode") == (options["mode"] is None)
+        if options["mode"] is None:
+            assert "bound" not in options
+            # without a limit on boxes, stages of mode full share the time
+            assert given["model"] == "similarity2d" or "node_limit" in given
+    assert models == {
+        "similarity2d": ["similarity2d"] * 2, "rigid3d": ["rigid3d"],
+        "similarity2d, default mode": ["similarity2d"] * 2,
+        "rigid3d, default mode": ["rigid3d"] * 2,
+    }  # fmt: skip
+
+
 def test_planted_changes_fit_the_sources(tmp_path):
     for name, change in planted.CHANGES.items():
         if change is not None:
