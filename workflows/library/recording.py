@@ -22,12 +22,13 @@ from data.library.record import (
     PoseEntry,
     Record,
     SolveEntry,
+    own_command,
     read_record,
     write_record,
 )
 from data.library.submit import stored_proof
 from dcreg.assignment.descent import polish
-from workflows.library.solve import ANSWERS, OWN, Answer, read_answer
+from workflows.library.solve import ANSWERS, Answer, read_answer
 
 
 class Author(TypedDict):
@@ -120,10 +121,10 @@ def _with_bound(
     if not bound or bound <= record.lower_bound * (1 + LAST_DIGITS):
         return record
     path = answers / f"{problem.id}.npz"
-    command = f"{OWN} {problem.id} proof.npz"
     proof = stored_proof(
-        problem, path, dcreg.certificate.read(path), answer.check_s or 0.0, command, proofs
-    )
+        problem, path, dcreg.certificate.read(path), answer.check_s or 0.0,
+        own_command(problem.id), proofs,
+    )  # fmt: skip
     how = "dcreg.register with a certificate, and dcreg.verify"
     return record.with_entries(
         BoundEntry(
