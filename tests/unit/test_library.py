@@ -256,6 +256,16 @@ def test_a_check_says_what_it_skipped(checked_record, monkeypatch):
     assert "skipped   1 problems: data not available" in answer.stdout
 
 
+def test_hard_problems_were_tried_with_default_options():
+    for problem in KNOWN.values():
+        stored = RECORDS[problem.id]
+        if stored.status(problem) == "hard":
+            tried = [solve for solve in stored.solves if not solve.options]
+            assert any(
+                solve.status == "converged" or solve.cpu_s >= record.EASY_CPU_S for solve in tried
+            ), problem.id
+
+
 def test_unknown_statuses_are_refused():
     answer = CliRunner().invoke(app, ["list", "--status", "foo"])
     assert answer.exit_code == 2
