@@ -3,7 +3,7 @@
 import hashlib
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import jsonschema
 import numpy as np
@@ -484,6 +484,23 @@ def test_solves_are_kept_and_recorded(tmp_path):
     assert made.optima.count == RECORDS[problem.id].optima.count
     assert faulty_proof(problem, made, proofs) == []
     assert list(record_answers([problem], answers, records, proofs)) == []
+
+
+def test_a_quick_proof_is_recorded_after_a_longer_search_without_one(tmp_path):
+    answers, records = tmp_path / "answers", tmp_path / "records"
+    answers.mkdir()
+    tried = solving.Answer(
+        {}, "stopped", RECORDS[ONE.id].best_pose.pose, 1.0, 0.0, 3.0, 3.0, "pose"
+    )
+    for found in (tried, replace(tried, cpu_s=2.0), replace(tried, status="optimal", cpu_s=1.0)):
+        text = json.dumps(asdict(found))
+        (answers / f"{ONE.id}.default.json").write_text(text, encoding="utf-8")
+        list(record_answers([ONE], answers, records, tmp_path))
+    made = read_record(ONE.id, records)
+    assert [(solve.status, solve.cpu_s) for solve in made.solves] == [
+        ("stopped", 3.0),
+        ("optimal", 1.0),
+    ]
 
 
 def test_a_proof_that_is_not_stored_is_made_again(monkeypatch):

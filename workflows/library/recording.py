@@ -103,7 +103,10 @@ def _with_solve(record: Record, answer: Answer) -> Record:
     """Add a solve, unless the same version and options already did as well."""
     by = f"dcreg {answer.version}"
     done = [entry for entry in record.solves if (entry.by, entry.options) == (by, answer.options)]
-    if any(entry.status == "optimal" or entry.cpu_s >= round(answer.cpu_s, 3) for entry in done):
+    if any(entry.status == "optimal" for entry in done):
+        return record
+    is_longer = all(entry.cpu_s < round(answer.cpu_s, 3) for entry in done)
+    if answer.status != "optimal" and not is_longer:
         return record
     return record.with_entries(
         SolveEntry(
