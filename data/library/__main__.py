@@ -6,7 +6,7 @@ import json
 import os
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, NoReturn, get_args
 
 import typer
 from rich.console import Console
@@ -14,7 +14,7 @@ from rich.table import Column, Table
 
 from data.contract import DataError
 from data.library.problem import HERE, LibraryError, Problem, all_problems, find_problem
-from data.library.record import Record, read_record
+from data.library.record import Record, Status, read_record
 
 app = typer.Typer(help=__doc__, add_completion=False, no_args_is_help=True)
 console = Console(width=None if os.isatty(1) else 120)
@@ -27,8 +27,11 @@ def list_all(
     status: Annotated[str, typer.Option(help="Only easy, hard or open problems.")] = "",
 ) -> None:
     """List all problems with their bounds and status."""
+    if status not in ("", *(known := get_args(Status))):
+        _stop(LibraryError(f"--status {status}: give one of {', '.join(known)}"))
     folded = [Column(name, overflow="fold") for name in ("problem", "model")]  # names are complete
-    table = Table(*folded, "points", "pairs", "objective", "lower bound", "status")
+    table = Table(*folded, "points", "pairs", "objective", "lower bound", "status",
+                  "longest search, s")  # fmt: skip
     counts: Counter[str] = Counter()
     for problem in all_problems().values():
         record = read_record(problem.id)
@@ -38,6 +41,7 @@ def list_all(
             table.add_row(
                 problem.id, problem.model, f"{problem.n_source}, {problem.n_target}",
                 str(problem.n_inliers), f"{record.objective:.6g}", f"{record.lower_bound:.6g}", word,
+                f"{record.tried_s:.1f}" if word == "open" else "",
             )  # fmt: skip
     console.print(table)
     console.print(", ".join(f"{count} {word}" for word, count in sorted(counts.items())))
@@ -71,7 +75,10 @@ def export(
         clouds = problem.clouds
     except DataError as error:
         _stop(error)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        _stop(error)
     paths = [folder / "source.txt", folder / "target.txt"]
     for path, points in zip(paths, clouds, strict=True):
         rows = (" ".join(map(repr, row)) for row in points.tolist())
@@ -93,13 +100,21 @@ def check(
     from data.library.check import check as check_library
 
     done = check_library(lambda line: print(line, flush=True), every_proof=all_proofs)
-    for line in done.skipped:
-        print(f"skipped   {line}")
+    for line in done.no_data:
+        print(f"no data   {line}")
     for line in done.faults:
         print(f"FAULT     {line}")
+    if done.no_data:
+        print(f"skipped   {len(done.no_data)} problems: data not available")
+    if done.n_not_stored:
+        reason = "not stored; `python -m workflows.library reprove` makes and checks them again"
+        print(f"skipped   {done.n_not_stored} proofs: {reason}")
+    if not all_proofs:
+        rest = done.n_bounds - done.n_not_stored - done.n_proofs
+        print(f"skipped   {rest} proofs: not in the sample; --all verifies them")
     print(
         f"checked   {done.n_problems} problems, {done.n_poses} poses by two evaluators, "
-        f"{done.n_proofs} proofs; {len(done.faults)} faults"
+        f"{done.n_proofs} of {done.n_bounds} proofs; {len(done.faults)} faults"
     )
     raise typer.Exit(int(bool(done.faults)))
 
@@ -113,7 +128,7 @@ def submit(
 
     try:
         outcome = check_submission(path)
-    except LibraryError as error:
+    except DataError as error:
         _stop(error)
     for line in outcome.accepted:
         print(f"accepted  {line}")

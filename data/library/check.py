@@ -20,7 +20,7 @@ from data.library.problem import (
     problem_path,
     read_problem,
 )
-from data.library.record import LAST_DIGITS, PROOFS, Enumeration, Record, read_record
+from data.library.record import LAST_DIGITS, PROOFS, Enumeration, Record, own_command, read_record
 from data.library.submit import checked_proof, proof_path
 from dcreg.files import write_text
 
@@ -32,12 +32,14 @@ Say = Callable[[str], None]
 
 @dataclass
 class Checked:
-    """What was checked, and the faults found."""
+    """What was checked and skipped, and the faults found."""
 
     n_problems: int = 0
     n_poses: int = 0
-    n_proofs: int = 0
-    skipped: list[str] = field(default_factory=list)
+    n_bounds: int = 0
+    n_proofs: int = 0  # of bounds, that were verified
+    n_not_stored: int = 0
+    no_data: list[str] = field(default_factory=list)  # problems, with the reason
     faults: list[str] = field(default_factory=list)
 
 
@@ -65,18 +67,24 @@ def check(say: Say, *, every_proof: bool = False) -> Checked:
         try:
             problem = read_problem(problem_path(problem_id))
             record = read_record(problem_id)
+            wrong = faulty_description(problem, record)
+            done.faults += wrong
             _ = problem.clouds
         except LibraryError as error:
             done.faults.append(str(error))
             continue
         except DataError as error:  # the files of a recipe
-            done.skipped.append(f"{problem_id}: {error}")
+            done.no_data.append(f"{problem_id}: {error}")
             continue
         done.n_problems += 1
         done.faults += faulty_poses(problem, record)
         done.n_poses += len(record.poses)
-        if record.best_bound is not None and problem_id in sample:
-            _check_proof(problem, record, done)
+        done.n_bounds += record.best_bound is not None
+        if record.certificate is not None and not record.certificate.stored:
+            done.n_not_stored += 1
+        elif record.best_bound is not None and problem_id in sample and not wrong:
+            done.n_proofs += 1
+            done.faults += faulty_proof(problem, record)
             say(f"{problem_id}: proof of {record.lower_bound:.9g}")
     return done
 
@@ -110,30 +118,43 @@ def faulty_poses(problem: Problem, record: Record) -> list[str]:
     return faults
 
 
-def _check_proof(problem: Problem, record: Record, done: Checked) -> None:
-    proof = record.certificate
-    if proof is not None and not proof.stored:
-        done.skipped.append(f"{problem.id}: proof: not stored; make it with {proof.command}")
-        return
-    done.n_proofs += 1
-    done.faults += faulty_proof(problem, record)
+def faulty_description(problem: Problem, record: Record, proofs: Path = PROOFS) -> list[str]:
+    """Return what is wrong with the description of the best bound's proof, without verifying it.
+
+    The stored file must be the accepted one. Without a file, this project must be able to make the proof.
+    """
+    bound = record.best_bound
+    if bound is None:
+        return []
+    proof, fault = bound.proof, ""
+    if isinstance(proof, Enumeration):
+        if problem.family != "tiny":
+            fault = "all matchings can be tried for tiny problems only"
+    elif not proof.stored:
+        if proof.command != (own := own_command(problem.id)):
+            fault = f"its command is {proof.command!r}, not {own!r}"
+    else:
+        path = proof_path(problem.id, proof.sha256, proofs)
+        if not path.is_file():
+            fault = f"{path.name}: no such file; restore it"
+        elif hashlib.sha256(path.read_bytes()).hexdigest() != proof.sha256:
+            fault = f"{path.name} is not the file that was accepted; restore it"
+    return [f"{problem.id}: proof: {fault}"] if fault else []
 
 
 def faulty_proof(problem: Problem, record: Record, proofs: Path = PROOFS) -> list[str]:
-    """Verify the proof of the best bound again; return what is wrong."""
+    """Verify the stored proof of the best bound again; return what is wrong."""
     bound = record.best_bound
     assert bound is not None
+    if wrong := faulty_description(problem, record, proofs):
+        return wrong
     if isinstance(bound.proof, Enumeration):
         proven = best_of_all_matchings(problem).optimum
     else:
-        path = proof_path(problem.id, bound.proof.sha256, proofs)
         try:
-            if hashlib.sha256(path.read_bytes()).hexdigest() != bound.proof.sha256:
-                return [
-                    f"{problem.id}: proof: {path.name} is not the file that was accepted; restore it"
-                ]
+            path = proof_path(problem.id, bound.proof.sha256, proofs)
             proven = checked_proof(problem, path)[1].lower_bound
-        except (LibraryError, OSError) as error:
+        except LibraryError as error:
             return [str(error)]
     if proven < bound.lower_bound * (1 - LAST_DIGITS):
         return [

@@ -13,6 +13,8 @@ from data.library.record import LAST_DIGITS
 from dcreg.assignment.objective import objective as compiled_objective
 from dcreg.problem import InputError, checked_pose, nearest_rotation, scale_of
 
+FARTHEST = 1e100  # coordinate of a translation whose square does not overflow
+
 
 def admissible(problem: Problem, given: Any) -> np.ndarray:
     """Return a pose of the model with an exact rotation and a scale in the range.
@@ -26,9 +28,15 @@ def admissible(problem: Problem, given: Any) -> np.ndarray:
     """
     dim, (low, high) = problem.dim, problem.scale_range
     try:
-        pose = checked_pose("pose", given, dim, has_scale=dim == 2)
+        with np.errstate(over="ignore", invalid="ignore"):  # the scale can be infinite
+            pose = checked_pose("pose", given, dim, has_scale=dim == 2)
     except InputError as error:
         raise LibraryError(f"{problem.id}: {error}") from None
+    if np.abs(pose[:dim, dim]).max() > FARTHEST:
+        raise LibraryError(
+            f"{problem.id}: pose: its translation exceeds {FARTHEST:g}, so the objective is not finite; "
+            "correct it"
+        )
     scale = scale_of(pose) if dim == 2 else 1.0
     if not low * (1 - LAST_DIGITS) <= scale <= high * (1 + LAST_DIGITS):
         raise LibraryError(

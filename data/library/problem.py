@@ -192,6 +192,10 @@ def validated(kind: type[Any], path: Path) -> Any:
         return kind.model_validate_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise LibraryError(f"{path}: no such file; see `python -m data.library list`") from None
+    except OSError as error:
+        raise LibraryError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except UnicodeDecodeError:
+        raise LibraryError(f"{path}: not a text file in UTF-8; give a JSON file") from None
     except ValidationError as error:
         wrong = error.errors()[0]
         field = ".".join(map(str, wrong["loc"])) or "content"

@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import json
+import re
+from datetime import date as calendar_date
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from data.contract import SHA256
 from data.library.problem import HERE, Matrix, Problem, validated
@@ -25,11 +27,31 @@ LAST_DIGITS = 1e-9  # relative difference of two sums of the same squares
 Status = Literal["easy", "hard", "open"]
 
 
+def _existing(text: str) -> str:
+    calendar_date.fromisoformat(text)  # pydantic reports its ValueError
+    return text
+
+
+Date = Annotated[
+    str,
+    Field(
+        pattern=r"^\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])$",
+        json_schema_extra={"format": "date"},
+    ),
+    AfterValidator(_existing),
+]
+
+
+def own_command(problem_id: str) -> str:
+    """Return the command of this project that makes the proof of a problem."""
+    return f"python -m workflows.library prove {problem_id} proof.npz"
+
+
 class _Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     by: str = Field(min_length=1)  # program and version, or person
-    date: str = Field(pattern=r"^\d{4}-\d\d-\d\d$")
+    date: Date
     how: str = Field(min_length=1)
 
 
@@ -42,7 +64,7 @@ class PoseEntry(_Entry):
 
 
 class Proof(BaseModel):
-    """A certificate file: stored in ``proofs/``, or made again by a command."""
+    """A certificate file: stored in ``proofs/``, or made again by `own_command`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -157,12 +179,17 @@ class Record(BaseModel):
         return self.objective <= exact_objective(*problem.clouds, problem.n_inliers)
 
     def easy_solve(self) -> SolveEntry | None:
-        """Return a solve with default options that took at most 60 s, if there is one."""
+        """Return a solve by dcreg with default options that took at most 60 s, if there is one."""
         for solve in self.solves:
-            is_proof = solve.status == "optimal" and not solve.options
-            if is_proof and solve.cpu_s <= EASY_CPU_S:
+            is_default = re.fullmatch(r"dcreg \d[\w.+]*", solve.by) and not solve.options
+            if is_default and solve.status == "optimal" and solve.cpu_s <= EASY_CPU_S:
                 return solve
         return None
+
+    @property
+    def tried_s(self) -> float:
+        """CPU time of the longest recorded solve."""
+        return max((solve.cpu_s for solve in self.solves), default=0.0)
 
     def status(self, problem: Problem) -> Status:
         """Return easy (proven by default options within 60 s), hard (proven otherwise) or open."""

@@ -28,16 +28,20 @@ from data.library.record import (
     PROOFS,
     RECORDS,
     BoundEntry,
+    Date,
     PoseEntry,
     Proof,
     Record,
+    own_command,
     read_record,
     write_record,
 )
 from dcreg.certificate.format import Certificate, CertificateError, read
 from dcreg.certificate.verification import Report, verify
 
-MAX_STORED = 100_000  # bytes of a proof file in the repository
+# Bytes of a proof file in the repository. A larger one must be stored unless `own_command` makes it
+# again, because the command of another program cannot be run to check the bound.
+MAX_OWN, MAX_OTHER = 100_000, 1_000_000
 STATED = 1e-6  # relative error that a stated objective may have
 
 
@@ -57,7 +61,7 @@ class BoundClaim(BaseModel):
 
     lower_bound: float = Field(gt=0.0)
     proof: str
-    command: str = ""  # that makes the proof again; needed if the file is too large to be stored
+    command: str = ""  # that makes the proof again
 
 
 class Submission(BaseModel):
@@ -68,7 +72,7 @@ class Submission(BaseModel):
     format: Literal["dcreg library submission"]
     problem: str
     by: str = Field(min_length=1)
-    date: str = Field(pattern=r"^\d{4}-\d\d-\d\d$")
+    date: Date
     how: str = Field(min_length=1)
     better_pose: PoseClaim | None = None
     better_bound: BoundClaim | None = None
@@ -89,6 +93,8 @@ def submit(path: Path, records: Path = RECORDS, proofs: Path = PROOFS) -> Outcom
     ------
     LibraryError
         If the file is not a submission, or its problem is unknown.
+    DataError
+        If the points of the problem cannot be fetched.
     """
     given: Submission = validated(Submission, path)
     if given.better_pose is None and given.better_bound is None:
@@ -214,19 +220,20 @@ def stored_proof(
     Raises
     ------
     LibraryError
-        If it is too large and no command makes it.
+        If it is too large and this project cannot make it.
     """
-    content = path.read_bytes()
-    sha256, is_small = hashlib.sha256(content).hexdigest(), len(content) <= MAX_STORED
-    if is_small:
+    content, own = path.read_bytes(), own_command(problem.id)
+    sha256 = hashlib.sha256(content).hexdigest()
+    is_stored = len(content) <= (MAX_OWN if command == own else MAX_OTHER)
+    if is_stored:
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, proof_path(problem.id, sha256, folder))
-    elif not command:
+    elif command != own:
         raise LibraryError(
-            f"{problem.id}: proof: {len(content):,} bytes exceed {MAX_STORED:,}; give the command that "
-            "makes it"
+            f"{problem.id}: proof: {len(content):,} bytes exceed {MAX_OTHER:,}, and its command is not "
+            f"`{own}`, the only one that a check can run; give a smaller proof"
         )
     return Proof(
-        sha256=sha256, size=len(content), n_leaves=len(certificate.leaf_bounds), stored=is_small,
+        sha256=sha256, size=len(content), n_leaves=len(certificate.leaf_bounds), stored=is_stored,
         command=command, check_s=round(check_s, 3),
     )  # fmt: skip

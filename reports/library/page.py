@@ -17,7 +17,7 @@ from reports.page import pack_json
 WORDS = {
     "easy": "proven by default options within 60 s of CPU time",
     "hard": "proven with other options, in more time or by all matchings",
-    "open": "not proven so far; the view of the problem states the time tried",
+    "open": "not proven so far; the view of the problem states the CPU time of the longest search",
 }
 BIBTEX = """@misc{{dcreg-library-{key},
   title = {{Problem {id} of the DC-Reg library of registration problems with proven optima}},
@@ -120,6 +120,7 @@ def _facts(row: Row) -> list[tuple[str, str]]:
         "proven lower bound": "" if bound is None
         else f"{bound.lower_bound:.9g} ({bound.by}, {bound.how})",
         "gap": f"{100 * record.gap:.2f} %",
+        "longest search": f"{record.tried_s:.1f} s of CPU time" if row.status == "open" else "",
         "distinct optima": "" if record.optima is None
         else f"{record.optima.count} ({record.optima.how})",
         "proof": "" if proof is None else f"{proof.n_leaves:,} leaf boxes, {proof.size / 1000:.0f} kB, "

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import jsonschema
 import numpy as np
@@ -12,7 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 import dcreg
-from data.library import evaluate, matchings, record, submit
+from data.contract import DataError
+from data.library import check, evaluate, matchings, record, submit
 from data.library.__main__ import app
 from data.library.check import faulty_poses, faulty_proof, sampled_proofs
 from data.library.problem import (
@@ -27,7 +28,17 @@ from data.library.problem import (
     read_problem,
     write_problem,
 )
-from data.library.record import PROOFS, PoseEntry, Record, read_record
+from data.library.record import (
+    PROOFS,
+    BoundEntry,
+    Enumeration,
+    PoseEntry,
+    Proof,
+    Record,
+    SolveEntry,
+    own_command,
+    read_record,
+)
 from tests.oracles.kernels import k_assignment
 from tests.oracles.matchings import optimal_similarity
 from workflows.library import solve as solving
@@ -40,6 +51,7 @@ from workflows.library.solve import reprove, solve
 KNOWN = all_problems()
 RECORDS = {problem_id: read_record(problem_id) for problem_id in KNOWN}
 ONE = find_problem("fish-60-noise-03")
+ROOT = HERE.parents[1]
 AUTHOR = {"by": "test", "date": "2026-11-26", "how": "a test"}
 
 
@@ -169,6 +181,97 @@ def test_stored_proofs_are_verified_and_a_changed_file_is_found(tmp_path):
     assert len(sampled_proofs(KNOWN)) >= 20
 
 
+def planted(command):
+    """A record of an open problem with a high bound whose stated proof does not exist."""
+    problem = find_problem("overlap-fish-60-30")
+    poses = Record(problem=problem.id, entries=RECORDS[problem.id].poses)
+    proof = Proof(
+        sha256="0" * 64, size=10**6, n_leaves=1, stored=False, command=command, check_s=1.0
+    )
+    bound = BoundEntry(**AUTHOR, lower_bound=0.999 * poses.objective, proof=proof)
+    solve = SolveEntry(**AUTHOR, options={}, status="optimal", cpu_s=1.0)
+    return problem, poses.with_entries(bound, solve)
+
+
+@pytest.fixture
+def checked_record(monkeypatch):
+    """Check a library that consists of one problem with the given record."""
+
+    def checked(problem, given, *options):
+        monkeypatch.setattr(check, "checksums", lambda: {problem.id: checksums()[problem.id]})
+        monkeypatch.setattr(check, "changed_files", lambda _: [])
+        for module in (check, solving):
+            monkeypatch.setattr(module, "read_record", lambda _: given)
+        return CliRunner().invoke(app, ["check", *options])
+
+    return checked
+
+
+@pytest.mark.parametrize("options", [[], ["--all"]])
+def test_a_bound_without_a_proof_is_a_fault(checked_record, options):
+    problem, given = planted("evil --prove")
+    answer = checked_record(problem, given, *options)
+    assert answer.exit_code == 1
+    assert "its command is 'evil --prove', not 'python -m workflows" in answer.stdout
+    ((line, holds),) = reprove([problem], 1.0)
+    assert not holds, line
+    lost = given.best_bound.proof.model_copy(update={"stored": True})
+    given = given.with_entries(given.best_bound.model_copy(update={"proof": lost}))
+    given = Record(problem=problem.id, entries=[*given.poses, given.bounds[-1]])
+    assert "no such file" in checked_record(problem, given, *options).stdout
+    tried = given.best_bound.model_copy(update={"proof": Enumeration(n_matchings=1)})
+    given = Record(problem=problem.id, entries=[*given.poses, tried])
+    assert "for tiny problems only" in checked_record(problem, given, *options).stdout
+
+
+def test_the_own_command_does_not_prove_a_planted_bound(monkeypatch):
+    problem, given = planted(own_command(find_problem("overlap-fish-60-30").id))
+    monkeypatch.setattr(solving, "read_record", lambda _: given)
+    ((line, holds),) = reprove([problem], 0.2)
+    assert not holds, line
+
+
+def test_only_solves_by_dcreg_make_a_problem_easy():
+    _, given = planted("")
+    own = given.solves[0].model_copy(update={"by": "dcreg 0.2.0"})
+    assert given.easy_solve() is None
+    assert given.with_entries(own).easy_solve() == own
+    assert given.tried_s == 1.0
+
+
+def test_a_check_says_what_it_skipped(checked_record, monkeypatch):
+    large = find_problem("tiny-2d-line-4")
+    answer = checked_record(large, RECORDS[large.id], "--all")
+    assert answer.exit_code == 0
+    assert "skipped   1 proofs: not stored" in answer.stdout
+    assert "0 of 1 proofs; 0 faults" in answer.stdout
+    assert "not in the sample" in checked_record(ONE, RECORDS[ONE.id]).stdout
+
+    def offline(_):
+        raise DataError("no network")
+
+    monkeypatch.setattr(check, "read_problem", offline)
+    answer = checked_record(ONE, RECORDS[ONE.id])
+    assert answer.exit_code == 0
+    assert "skipped   1 problems: data not available" in answer.stdout
+
+
+def test_hard_problems_were_tried_with_default_options():
+    for problem in KNOWN.values():
+        stored = RECORDS[problem.id]
+        if stored.status(problem) == "hard":
+            tried = [solve for solve in stored.solves if not solve.options]
+            assert any(
+                solve.status == "converged" or solve.cpu_s >= record.EASY_CPU_S for solve in tried
+            ), problem.id
+
+
+def test_unknown_statuses_are_refused():
+    answer = CliRunner().invoke(app, ["list", "--status", "foo"])
+    assert answer.exit_code == 2
+    assert "--status foo: give one of easy, hard, open" in answer.stderr
+
+
 def test_all_matchings_agree_with_the_oracle():
     problem = find_problem("tiny-2d-noisy-1")
     found = matchings.best_of_all_matchings(problem)
@@ -232,12 +335,16 @@ def test_false_poses_are_refused_with_the_reason(place):
     mirrored, shrunk, sheared = best.copy(), best.copy(), best.copy()
     mirrored[:2, 0] *= -1
     shrunk[:2, :2] *= 0.3 / np.sqrt(np.linalg.det(best[:2, :2]))
+    far, huge = best.copy(), 1e200 * best
+    far[0, 2], huge[2, 2] = 1e200, 1.0
     sheared[0, 1] += 0.1
     for pose, objective, reason in (
         (best, 0.01, "objective: 0.01 stated, but the pose has 0.164"),
         (mirrored, 0.01, "not a rotation times a scale"),
         (sheared, 0.01, "not a rotation times a scale"),
         (shrunk, 0.01, r"its scale is 0.3, outside scale_range"),
+        (far, 0.01, "its translation exceeds 1e+100"),
+        (huge, 0.01, "pose: "),
     ):
         outcome = submitted(place, **claim(pose, objective))
         assert outcome.accepted == []
@@ -311,6 +418,54 @@ def test_a_submission_says_what_is_wrong_with_it(place):
         submitted(place)
     with pytest.raises(LibraryError, match=r"better_pose\.objective: Field required"):
         submitted(place, better_pose={"pose": [[1.0]]})
+    for date in ("2026-99-99", "2026-02-30"):
+        with pytest.raises(LibraryError, match="date: "):
+            submitted(place, **claim(np.eye(3), 1.0), date=date)
+    (place / "binary").write_bytes(b"\xff\xfe\x00")
+    for path, reason in ((place, "cannot be read"), (place / "binary", "not a text file")):
+        answer = CliRunner().invoke(app, ["submit", str(path)])
+        assert (answer.exit_code, reason in answer.stderr) == (2, True), answer.stderr
+
+
+def test_the_documented_example_has_the_documented_answer(tmp_path):
+    text = (ROOT / "docs" / "library.md").read_text(encoding="utf-8")
+    example = json.loads(text.split("```json\n")[1].split("```")[0])
+    example["better_bound"]["proof"] = str(ROOT / example["better_bound"]["proof"])
+    record.write_record(RECORDS[ONE.id], tmp_path)
+    path = tmp_path / "my-submission.json"
+    path.write_text(json.dumps(example), encoding="utf-8")
+    outcome = submit.submit(path, tmp_path, tmp_path)
+    assert outcome.accepted == []
+    assert len(outcome.refused) == 2
+    for line in outcome.refused:
+        assert f"\nrefused   {line}\n" in text
+
+
+def test_missing_data_of_a_problem_is_a_reason(place, monkeypatch):
+    def offline(_):
+        raise DataError("bunny: no network")
+
+    submitted_path = place / "submission.json"
+    submitted(place, **claim(RECORDS[ONE.id].best_pose.pose))
+    monkeypatch.setattr(submit, "evaluate", lambda *_: offline(_))
+    answer = CliRunner().invoke(app, ["submit", str(submitted_path)])
+    assert answer.exit_code == 2
+    assert "error: bunny: no network" in answer.stderr
+
+
+def test_large_proofs_by_others_are_stored_and_own_ones_are_not(place, monkeypatch):
+    monkeypatch.setattr(submit, "MAX_OWN", 10)
+    proof, best = certificate_of(ONE), RECORDS[ONE.id].lower_bound
+    dcreg.certificate.write(place / "proof.npz", proof)
+    claims = {"lower_bound": 0.99 * best, "proof": "proof.npz", "command": own_command(ONE.id)}
+    assert submitted(place, better_bound=claims).refused == []
+    assert not read_record(ONE.id, place).certificate.stored
+    claims |= {"lower_bound": best, "command": "my-solver --prove"}
+    monkeypatch.setattr(submit, "MAX_OTHER", 10)
+    assert "its command is not `python -m" in submitted(place, better_bound=claims).refused[0]
+    monkeypatch.undo()
+    assert submitted(place, better_bound=claims).refused == []
+    assert read_record(ONE.id, place).certificate.stored
 
 
 # --- solving and running -------------------------------------------------------------------------
@@ -329,6 +484,23 @@ def test_solves_are_kept_and_recorded(tmp_path):
     assert made.optima.count == RECORDS[problem.id].optima.count
     assert faulty_proof(problem, made, proofs) == []
     assert list(record_answers([problem], answers, records, proofs)) == []
+
+
+def test_a_quick_proof_is_recorded_after_a_longer_search_without_one(tmp_path):
+    answers, records = tmp_path / "answers", tmp_path / "records"
+    answers.mkdir()
+    tried = solving.Answer(
+        {}, "stopped", RECORDS[ONE.id].best_pose.pose, 1.0, 0.0, 3.0, 3.0, "pose"
+    )
+    for found in (tried, replace(tried, cpu_s=2.0), replace(tried, status="optimal", cpu_s=1.0)):
+        text = json.dumps(asdict(found))
+        (answers / f"{ONE.id}.default.json").write_text(text, encoding="utf-8")
+        list(record_answers([ONE], answers, records, tmp_path))
+    made = read_record(ONE.id, records)
+    assert [(solve.status, solve.cpu_s) for solve in made.solves] == [
+        ("stopped", 3.0),
+        ("optimal", 1.0),
+    ]
 
 
 def test_a_proof_that_is_not_stored_is_made_again(monkeypatch):

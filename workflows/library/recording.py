@@ -22,12 +22,13 @@ from data.library.record import (
     PoseEntry,
     Record,
     SolveEntry,
+    own_command,
     read_record,
     write_record,
 )
 from data.library.submit import stored_proof
 from dcreg.assignment.descent import polish
-from workflows.library.solve import ANSWERS, OWN, Answer, read_answer
+from workflows.library.solve import ANSWERS, Answer, read_answer
 
 
 class Author(TypedDict):
@@ -102,7 +103,10 @@ def _with_solve(record: Record, answer: Answer) -> Record:
     """Add a solve, unless the same version and options already did as well."""
     by = f"dcreg {answer.version}"
     done = [entry for entry in record.solves if (entry.by, entry.options) == (by, answer.options)]
-    if any(entry.status == "optimal" or entry.cpu_s >= round(answer.cpu_s, 3) for entry in done):
+    if any(entry.status == "optimal" for entry in done):
+        return record
+    is_longer = all(entry.cpu_s < round(answer.cpu_s, 3) for entry in done)
+    if answer.status != "optimal" and not is_longer:
         return record
     return record.with_entries(
         SolveEntry(
@@ -120,10 +124,10 @@ def _with_bound(
     if not bound or bound <= record.lower_bound * (1 + LAST_DIGITS):
         return record
     path = answers / f"{problem.id}.npz"
-    command = f"{OWN} {problem.id} proof.npz"
     proof = stored_proof(
-        problem, path, dcreg.certificate.read(path), answer.check_s or 0.0, command, proofs
-    )
+        problem, path, dcreg.certificate.read(path), answer.check_s or 0.0,
+        own_command(problem.id), proofs,
+    )  # fmt: skip
     how = "dcreg.register with a certificate, and dcreg.verify"
     return record.with_entries(
         BoundEntry(

@@ -16,6 +16,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import dcreg
+from data.contract import DataError
+from data.library.check import faulty_description
 from data.library.problem import LibraryError, Problem
 from data.library.record import LAST_DIGITS, read_record
 from data.library.submit import checked_proof
@@ -24,7 +26,6 @@ from dcreg.status import Status
 
 ANSWERS = Path("results") / "library"
 PROVE = {"certificate": True, "prove": True}  # options of a solve that keeps its proof
-OWN = "python -m workflows.library prove"  # command of a proof that this module can make again
 # CPU time to check a proof of the optimum; a weaker bound gets twice the time of a solve.
 CHECK_S = 600.0
 EARLY_S = 10.0  # after which a check that is expected to take longer is given up
@@ -127,13 +128,17 @@ def prove(problem: Problem, out: Path, limit_s: float) -> str:
 
 
 def reprove(problems: Iterable[Problem], limit_s: float) -> Iterator[tuple[str, bool]]:
-    """Make and check again the proofs that are not stored; yield a line and whether the bound holds."""
+    """Make and check again the proofs that are not stored; yield a line and whether the bound holds.
+
+    The new proof is another file in general, because a search is not reproducible bit by bit on every
+    machine. The checker must prove at least the recorded bound from it.
+    """
     for problem in problems:
         record = read_record(problem.id)
         if record.certificate is None or record.certificate.stored:
             continue
-        if not record.certificate.command.startswith(OWN):
-            yield f"{problem.id}: make it with {record.certificate.command}", True
+        if faults := faulty_description(problem, record):
+            yield faults[0], False
             continue
         try:
             with TemporaryDirectory() as folder:
@@ -142,6 +147,9 @@ def reprove(problems: Iterable[Problem], limit_s: float) -> Iterator[tuple[str, 
                 proven = checked_proof(problem, path)[1].lower_bound
         except LibraryError as error:
             yield str(error), False
+            continue
+        except DataError as error:
+            yield f"skipped: {problem.id}: data not available: {error}", True
             continue
         line = f"{problem.id}: recorded {record.lower_bound:.9g}, proven again {proven:.9g}"
         yield line, proven >= record.lower_bound * (1 - LAST_DIGITS)
