@@ -14,4 +14,5 @@ POSITION = 52
 
 def context(page: Page) -> dict[str, Any] | None:
     shown = boxes_per_stage(page.measured)
-    return {"shown": shown} if shown else None
+    labels = {style.name: label for label, style in page.styles.items()}
+    return {"shown": shown, "labels": labels} if shown else None
