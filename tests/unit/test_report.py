@@ -478,6 +478,13 @@ def test_the_first_sentence_says_what_was_run(tables):
     assert outcome.what(one).startswith("1 method was attempted on 45 instances of demo")
 
 
+def test_the_filter_of_methods_reaches_the_boxes_per_stage(html):
+    shown = html.split('id="stages"')[1].split("</section>")[0]
+    rows = re.findall(r'<tr data-method="([^"]*)"><th scope="row">', shown)
+    assert {"dcreg-full", "dcreg-half"} <= set(rows)
+    assert len(rows) == shown.count('<th scope="row">')
+
+
 def test_methods_without_an_attempted_run_are_folded(html):
     shown = html.split('id="accounting"')[1].split("</table>")[0]
     folded = html.split('id="idle"')[1].split("</table>")[0]
