@@ -13,6 +13,7 @@ from dcreg.search.recording import Recording
 from reports import templating, theme
 from reports.page import pack_json
 from reports.tables import ReportError
+from workflows.labels import display_names
 from workflows.replay import Repetition
 
 MOST_DRAWN = 20_000  # boxes of a slice; if there are more, the first ones
@@ -49,7 +50,9 @@ def repeat(run_id: str, experiment: str, results: Path, out: Path) -> tuple[Path
         )
     page = out / f"{run_id}.html"
     page.parent.mkdir(parents=True, exist_ok=True)
-    page.write_text(_render(run_id, result, recorder, repetition.instance.model), encoding="utf-8")
+    names = display_names(repetition.plan.experiment.methods)
+    shown = {**result, "method": names[repetition.run.method.name]}
+    page.write_text(_render(run_id, shown, recorder, repetition.instance.model), encoding="utf-8")
     return page, result
 
 

@@ -8,10 +8,10 @@ import pandas as pd
 
 from reports.tables import Tables, is_right, share_interval
 from workflows.outcomes import attempted
-from workflows.significance import exact_p, holm
+from workflows.significance import SIGNIFICANT, exact_p, holm
 
 ALL = "all tests"
-BEST, TIED, WORSE = "best", "tied", "worse"
+BEST, TIED, FEW, WORSE = "best", "tied", "few", "worse"
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,9 @@ class Cell:
     """The right runs of one method on one test.
 
     `standing` is `BEST` for the highest success rate, `TIED` for methods with a lower one that are not
-    significantly worse, `WORSE` for all others, and empty for methods that receive the true pairs or
-    attempted fewer than half of the instances.
+    significantly worse, `FEW` if there are too few instances for any difference to be significant,
+    `WORSE` for all others. It is empty for methods that receive the true pairs or attempted fewer than
+    half of the instances, and where no two methods are compared.
     """
 
     right: int
@@ -43,6 +44,11 @@ class Matrix:
     model: str
     columns: list[str]
     rows: dict[str, dict[str, Cell]]  # by method: the highest first, those not compared last
+
+    @property
+    def is_compared(self) -> bool:
+        """Whether any column compares methods."""
+        return any(cell.standing for row in self.rows.values() for cell in row.values())
 
     def standing(self, standing: str) -> list[str]:
         """Return the methods with a standing in the first column."""
@@ -90,15 +96,19 @@ def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
         if name in right and not tables.is_oracle(name) and 2 * counts[name] >= len(right)
     ]
     standing = dict.fromkeys(right, "")
-    if rivals:
+    if len(rivals) > 1:
         most = counts[rivals].max()
         shares = {name: right[name].mean() for name in rivals if counts[name] == most}
         best = max(shares, key=lambda name: shares[name])
         others = [name for name in rivals if shares.get(name) != shares[best]]
-        p_of = [_p_value(right[best], right[name]) * len(rivals) / 2 for name in others]
+        pairs = len(rivals) / 2
+        p_of = [_p_value(right[best], right[name]) * pairs for name in others]
         standing |= dict.fromkeys(rivals, BEST)
         for name, p, level in zip(others, p_of, holm(p_of), strict=True):
-            standing[name] = WORSE if p <= level else TIED
+            common = (right[best].notna() & right[name].notna()).sum()
+            # the level of the smallest p-value is the strictest: beyond it the other pairs decide
+            could_differ = exact_p(0, common) * pairs <= SIGNIFICANT / len(others)
+            standing[name] = WORSE if p <= level else TIED if could_differ else FEW
     return {
         str(name): Cell(int(column.sum()), int(column.count()), standing[name])
         for name, column in right.items()

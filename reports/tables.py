@@ -107,9 +107,8 @@ class Tables:
     def replay_command(self) -> str:
         """The command that repeats a run of these tables, without the run."""
         recorded = str(self.provenance.get("replay", ""))
-        return (
-            recorded if recorded.startswith(REPLAY) else REPLAY
-        )  # earlier tables name another one
+        # earlier tables name another one
+        return recorded if recorded.startswith(REPLAY) else f"{REPLAY} RUN="
 
     @property
     def experiment(self) -> str:

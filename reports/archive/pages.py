@@ -6,10 +6,14 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
+import pandas as pd
+
 from reports import claims, paper_page, templating
 from reports.archive import clouds, read
 from reports.build import build as build_report
 from reports.history import page as history_page
+from workflows.archives import RUNS
+from workflows.outcomes import OUTCOMES
 
 
 def build(archive: str, out: Path, sha256: str = "") -> Path:
@@ -39,12 +43,15 @@ def build(archive: str, out: Path, sha256: str = "") -> Path:
 
 def _index(folder: Path, out: Path) -> Path:
     facts = read.facts(folder)
+    runs = pd.read_parquet(folder / RUNS, columns=["experiment", "outcome"])
+    found = pd.crosstab(runs["experiment"], runs["outcome"])
     page = out / "index.html"
     page.write_text(
         templating.environment()
         .get_template("archive.html")
         .render(
             facts=facts,
+            counts={name: found[name] for name in OUTCOMES if name in found},
             clouds=clouds.sentences(facts),
         ),
         encoding="utf-8",

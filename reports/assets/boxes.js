@@ -21,7 +21,7 @@ function openStage() {
 function draw() {
   const { upper, ends, count } = stage(), chosen = slice(), now = Number($("#progress").value);
   const end = ends.findLast(([after]) => after <= now) ?? [0, 0, null];
-  $("#told").textContent = `${now} of ${count} boxes bounded: lower bound ${short(end[1])}, upper bound ${short(end[2])}`;
+  $("#told").textContent = `${now} of ${count} boxes bounded: normalised lower bound ${short(end[1])}, upper bound ${short(end[2])}`;
   const size = canvas.clientWidth * devicePixelRatio;
   canvas.width = canvas.height = size;
   const pen = canvas.getContext("2d");

@@ -114,6 +114,7 @@ async function drawNow(element) {
   for (const control of controls(id).filter((c) => c.dataset.scale)) {
     for (const name of data.scales[control.dataset.scale] ?? []) {
       layout[name] = { ...layout[name], type: control.checked ? "log" : "linear" };
+      if (control.checked) delete layout[name].range;
     }
   }
   labelLogAxes(layout, traces, element.clientWidth < NARROW_PX ? 4 : 7);
@@ -236,14 +237,25 @@ function boundsView(data) {
   const stage = pick("stage").value, work = pick("work").value;
   const traces = instance.runs.flatMap((run) => runTraces(run, run.stages[stage], work));
   tellRuns(instance, stage);
+  const range = clipped(instance.runs.filter((run) => !hidden.has(run.method)).map((run) => run.stages[stage]));
   const layouts = {};
   for (const [name, layout] of Object.entries(data.layouts)) {
     const copy = structuredClone(layout);
     for (const [axis, title] of [["xaxis3", "time (s)"], ["xaxis4", work]]) copy[axis].title.text = title;
+    for (const axis of ["yaxis", "yaxis2"]) copy[axis] = { ...copy[axis], ...range };
     if (name === "narrow") { copy.xaxis.title.text = "time (s)"; copy.xaxis2.title.text = work; }
     layouts[name] = copy;
   }
   return { data: traces, layouts };
+}
+
+// The axis does not follow lower bounds far below 0 and upper bounds far above the last ones.
+function clipped(runs) {
+  const stages = runs.filter(Boolean);
+  const last = Math.max(...stages.map(({ upper }) => upper.at(-1) ?? 0));
+  const ends = stages.flatMap(({ lower, upper }) => [...lower, ...upper]).filter((value) => value !== null);
+  const isFar = Math.min(...ends) < -0.5 * last || Math.max(...ends) > 10 * last;
+  return isFar && last > 0 ? { range: [-0.5 * last, 2 * last] } : {};
 }
 
 function runTraces(run, stage, work) {
@@ -305,7 +317,7 @@ $$("[data-step]").forEach((button) => button.addEventListener("click", () => ste
 async function drawThumbnail(canvas) {
   const found = await recordOf(canvas.dataset.run).catch(tellMissing);
   if (!found?.clouds) {
-    canvas.replaceWith("not drawn: the tables contain no clouds");
+    canvas.closest(".view")?.replaceChildren("not drawn: the tables contain no clouds of this instance");
     return;
   }
   const { clouds, record } = found;

@@ -106,7 +106,7 @@ function drawRunClouds(library) {
   });
   const traces = [cloud("target", clouds.target, "--target", ["cross-thin-open", "cross"], 7)];
   if (isShown("reference") && record.reference) traces.push(cloud("source, reference pose", move(clouds.source, record.reference), "--quiet", ["diamond-open", "diamond-open"], 9));
-  if (isShown("before")) traces.push(cloud("source as given", clouds.source, "--warn", ["square-open", "square-open"], 6));
+  if (isShown("before")) traces.push(cloud("source as given", clouds.source, "--good", ["square-open", "square-open"], 6));
   if (isShown("found") && record.pose) traces.push(cloud("source, pose found", move(clouds.source, record.pose), "--source", ["circle-open", "circle-open"], 7));
   if (isShown("pairs") && record.pose) traces.push(...pairLines(flat, clouds, record));
   return drawIn(library, "run-overlay", traces, (narrow) => overlayLayout(flat, narrow));
@@ -116,13 +116,13 @@ function cloudsText(clouds, record) {
   const thinned = record.n_source > clouds.source.length || record.n_target > clouds.target.length;
   const pairs = clouds.kind === "true" ? "true pairs" : "mutual nearest neighbours at the reference pose, closer than the noise bound";
   return `Coordinates are rounded for display${thinned ? `; ${clouds.source.length} of ${record.n_source} source points and ${clouds.target.length} of ${record.n_target} target points are shown` : ""}. `
-    + (record.pose ? `Lines join ${clouds.pairs.length} pairs (${pairs}) at the pose found; red ones are longer than the noise bound given to all methods. ` : "The run has no pose. ")
+    + (record.pose ? `Lines join ${clouds.pairs.length} pairs (${pairs}) at the pose found; amber ones are longer than the noise bound given to all methods. ` : "The run has no pose. ")
     + (clouds.source[0].length === 3 ? "Drag to turn the clouds." : "");
 }
 
 function pairLines(flat, clouds, record) {
   const residuals = residualsOf(clouds, record.pose), moved = move(clouds.source, record.pose);
-  return [["pairs within the noise bound", "--quiet", (r) => r <= record.noise_bound], ["pairs beyond it", "--bad", (r) => r > record.noise_bound]].map(([name, variable, fits]) => {
+  return [["pairs within the noise bound", "--quiet", (r) => r <= record.noise_bound], ["pairs beyond it", "--warn", (r) => r > record.noise_bound]].map(([name, variable, fits]) => {
     const ends = clouds.pairs.flatMap(([i, j], at) => (fits(residuals[at]) ? [moved[i], clouds.target[j], []] : []));
     const axis = (which) => ends.map((p) => p[which] ?? null);
     return {
@@ -162,7 +162,7 @@ function drawResiduals(library) {
   const traces = [];
   if (record.reference) traces.push(curve("reference pose", record.reference, "--quiet", "dash"));
   if (record.pose) traces.push(curve("pose found", record.pose, "--source", "solid"));
-  if (record.noise_bound) traces.push({ type: "scatter", mode: "lines", name: "noise bound", x: [1, clouds.pairs.length], y: [record.noise_bound, record.noise_bound], meta: { role: "noise bound" }, line: { color: color("--bad"), dash: "dot", width: 1 }, hoverinfo: "name" });
+  if (record.noise_bound) traces.push({ type: "scatter", mode: "lines", name: "noise bound", x: [1, clouds.pairs.length], y: [record.noise_bound, record.noise_bound], meta: { role: "noise bound" }, line: { color: color("--warn"), dash: "dot", width: 1 }, hoverinfo: "name" });
   return drawIn(library, "run-residuals", traces, () => ({
     height: 260, margin: { l: 56, r: 8, t: 8, b: 44 }, showlegend: true, legend: { orientation: "h", y: 1.02, yanchor: "bottom" },
     xaxis: { title: { text: "pairs, sorted by residual" } }, yaxis: { title: { text: "residual" }, rangemode: "tozero" },

@@ -80,7 +80,8 @@ function answer({ both, labels, places: [a, b], runs }) {
   const bothRight = runs[0].right.filter((right, i) => right && runs[1].right[i]).length;
   let text = `${one} and ${other} attempted no instance in common.`;
   if (a === b) text = "Choose two different methods.";
-  else if (total && !(won + lost)) text = `${one} and ${other} are right on ${bothRight} of ${total} instances, and wrong on all others.`;
+  else if (total && !(won + lost)) text = bothRight === total ? `${one} and ${other} are right on all ${total} instances.`
+    : `${one} and ${other} are right on ${bothRight} of ${total} instances, and wrong on all others.`;
   else if (total) {
     const [first, second, more, fewer] = won >= lost ? [one, other, won, lost] : [other, one, lost, won];
     const much = p < 0.05 ? "a significant difference" : "no significant difference";

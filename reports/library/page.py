@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from data.library.problem import Problem, all_problems
-from data.library.record import BoundEntry, PoseEntry, Record, read_record
+from data.library.record import BoundEntry, Enumeration, PoseEntry, Record, read_record
 from dcreg import __version__
 from reports import templating, theme
 from reports.library import difficulty, drawing
@@ -17,7 +17,11 @@ from reports.page import pack_json
 WORDS = {
     "easy": "proven by default options within 60 s of CPU time",
     "hard": "proven with other options, in more time or by all matchings",
+<<<<<<< HEAD
     "open": "not proven so far; the view of the problem states the CPU time of the longest search",
+=======
+    "open": "not proven so far",
+>>>>>>> ae7af2fcd244cba96d85f259c8ce95dbfe9987eb
 }
 BIBTEX = """@misc{{dcreg-library-{key},
   title = {{Problem {id} of the DC-Reg library of registration problems with proven optima}},
@@ -38,6 +42,12 @@ class Row:
     @property
     def n_points(self) -> int:
         return max(self.problem.n_source, self.problem.n_target)
+
+    @property
+    def is_enumerated(self) -> bool:
+        """Whether all matchings prove the best lower bound."""
+        bound = self.record.best_bound
+        return bound is not None and isinstance(bound.proof, Enumeration)
 
     @property
     def optima(self) -> int | None:
@@ -68,6 +78,7 @@ def build(out: Path) -> Path:
         rows=rows,
         counts=Counter(row.status for row in rows),
         proven_3d=sum(row.status != "open" and row.problem.dim == 3 for row in rows),
+        enumerated=sum(row.is_enumerated for row in rows),
         words=WORDS,
         families=sorted({row.problem.family for row in rows}),
         panels=drawing.panels(table),

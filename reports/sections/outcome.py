@@ -11,11 +11,11 @@ from reports.ledger.evidence import QUICK, STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
 from reports.pairs import pair_rows
-from reports.standing import BEST, TIED, WORSE, Matrix, matrices
+from reports.standing import BEST, FEW, TIED, WORSE, Matrix, matrices
 from reports.tables import PENALTY, Tables, counted_time, is_right, share_interval
-from reports.theme import Style, integer, listed, share
+from reports.theme import Style, integer, listed, share, words
 from workflows.metrics.errors import SUCCESS_SHARE
-from workflows.outcomes import attempted, comparable_times, main_machine
+from workflows.outcomes import OUTCOMES, STARTED, attempted, comparable_times, main_machine
 from workflows.stages.evaluate import success_limits
 
 ID = "outcome"
@@ -52,6 +52,7 @@ def context(page: Page) -> dict[str, Any]:
         "counts": count(judgements),
         "claims": len(ledger().claims),
         "matrices": found,
+        "is_compared": any(matrix.is_compared for matrix in found),
         "sentences": [sentence(matrix, page.styles) for matrix in found],
         "outcomes": rows,
         "models": list(dict.fromkeys(row["model"] for row in rows)),
@@ -66,37 +67,75 @@ def context(page: Page) -> dict[str, Any]:
 
 
 def sentence(matrix: Matrix, styles: dict[str, Style]) -> str:
-    """Return which methods are best on all tests together, and which are not significantly worse."""
-    best, tied, worse = (
-        [styles[name].name for name in matrix.standing(kind)] for kind in (BEST, TIED, WORSE)
+    """Return which methods are best on all tests together, and what is known of the others."""
+    first = matrix.columns[0]
+    if len(matrix.rows) == 1:
+        ((label, cells),) = matrix.rows.items()
+        rate = share(cells[first].share, *cells[first].interval)
+        return (
+            f"{matrix.model}: {styles[label].name} finds the right pose in {rate} of "
+            f"{cells[first].runs} runs; no other method was attempted."
+        )
+    best, tied, few, worse = (
+        [styles[name].name for name in matrix.standing(kind)] for kind in (BEST, TIED, FEW, WORSE)
     )
     if not best:
-        return f"{matrix.model}: only methods that receive the true pairs were run."
-    cell = matrix.rows[matrix.standing(BEST)[0]][matrix.columns[0]]
-    among = (
-        "" if all(cells[matrix.columns[0]].standing for cells in matrix.rows.values()) else AMONG
-    )
+        return (
+            f"{matrix.model}: no two methods are compared, because the others receive the true pairs "
+            "or attempted fewer than half of the instances."
+        )
+    cell = matrix.rows[matrix.standing(BEST)[0]][first]
+    among = "" if all(cells[first].standing for cells in matrix.rows.values()) else AMONG
     verb = "has" if len(best) == 1 else "have"
     found = (
         f"{matrix.model}: {among}{listed(best)} {verb} the highest success rate, "
         f"{share(cell.share, *cell.interval)} of {cell.runs} runs"
     )
     if tied:
-        return (
-            f"{found}; {listed(tied)} {'is' if len(tied) == 1 else 'are'} not significantly worse."
-        )
-    return found + ("; the others are significantly worse." if worse else ".")
+        found += f"; {listed(tied)} {'is' if len(tied) == 1 else 'are'} not significantly worse"
+    if few:
+        found += f"; there are too few instances to say whether {listed(few)} "
+        found += f"{'is' if len(few) == 1 else 'are'} worse"
+    return found + ("; the others are significantly worse." if worse and not tied + few else ".")
 
 
 def what(tables: Tables) -> str:
-    """Return what was run, in one sentence."""
+    """Return what was attempted, in one sentence, and in a second one which runs are not planned."""
     runs = tables.runs
+    tried = attempted(runs)
     tests = runs["test"].nunique()
     dims = " and ".join(f"{dim}D" for dim in sorted(runs["dim"].unique()))
+    planned, started = runs["method"].nunique(), tried["method"].nunique()
+    counts = runs["outcome"].value_counts()
+    left = [
+        f"{integer(counts[name])} {words(name)}"
+        for name in OUTCOMES
+        if name in counts and name not in STARTED
+    ]
     return (
-        f"{len(tables.methods)} method{'s' * (len(tables.methods) > 1)} on "
-        f"{runs['instance_id'].nunique()} instances of {listed(list(runs['dataset'].unique()))}, "
-        f"{tests} test{'s' * (tests > 1)} in {dims}: {integer(len(runs))} planned runs."
+        f"{_of(started, planned)} method{'s' * (planned > 1)} {'was' if started == 1 else 'were'} "
+        f"attempted on "
+        f"{_of(tried['instance_id'].nunique(), runs['instance_id'].nunique())} instances of "
+        f"{listed(list(runs['dataset'].unique()))}, {tests} test{'s' * (tests > 1)} in {dims}: "
+        f"{'all ' * (len(tried) == len(runs))}{_of(len(tried), len(runs))} planned runs were attempted"
+        + "".join(f", {text}" for text in left)
+        + f".{_not_planned(runs)}"
+    )
+
+
+def _of(count: int, total: int) -> str:
+    return integer(total) if count == total else f"{integer(count)} of {integer(total)}"
+
+
+def _not_planned(runs: pd.DataFrame) -> str:
+    """Return on how many instances a method is planned, if that differs: some have only one model."""
+    per_method = runs.groupby("method")["instance_id"].nunique()
+    low, high, total = per_method.min(), per_method.max(), runs["instance_id"].nunique()
+    if low == total:
+        return ""
+    each = f"{low}" if low == high else f"{low} to {high}"
+    return (
+        f" Not every method is planned for every instance: each is planned for {each} of {total}."
     )
 
 

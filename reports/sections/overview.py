@@ -10,7 +10,7 @@ from reports.figures import profile
 from reports.page import Page
 from reports.sections.outcome import success_rule
 from reports.tables import Tables, count_outcomes, share_interval
-from workflows.outcomes import NOT_NEEDED, OUTCOMES, attempted
+from workflows.outcomes import NOT_NEEDED, OUTCOMES, STARTED, attempted
 from workflows.summary import summarise
 
 ID = "overview"
@@ -21,10 +21,12 @@ POSITION = 30
 def context(page: Page) -> dict[str, Any]:
     counts = count_outcomes(page.tables.runs).loc[page.tables.methods]
     models = list(dict.fromkeys(page.tables.runs["model"]))
+    is_idle = counts[list(STARTED)].sum(axis=1) == 0
     solved = attempted(page.tables.runs)["model"]
     return {
         "outcomes": [name for name in OUTCOMES if name != NOT_NEEDED or counts[name].any()],
-        "accounting": [(method, row) for method, row in counts.iterrows()],
+        "accounting": list(counts[~is_idle].iterrows()),
+        "idle": list(counts[is_idle].iterrows()),
         "total": counts.sum(),
         "summary": summary(page.tables),
         "models": models,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 from reports.measured import boxes_per_stage
@@ -13,5 +14,10 @@ POSITION = 52
 
 
 def context(page: Page) -> dict[str, Any] | None:
-    shown = boxes_per_stage(page.measured)
-    return {"shown": shown} if shown else None
+    runs = page.measured.runs
+    names = {label: style.name for label, style in page.styles.items()}
+    # display names in older tables may be the same for several methods; those of styles differ
+    named = runs.assign(display_name=runs["method"].map(names))
+    shown = boxes_per_stage(dataclasses.replace(page.measured, runs=named))
+    labels = {name: label for label, name in names.items()}
+    return {"shown": shown, "labels": labels} if shown else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import zipfile
 from pathlib import Path
 
@@ -293,6 +294,16 @@ def test_all_pages_are_built_from_an_archive(archive, tmp_path):
     for link in (*reports, "claims/claims.html", "figures/index.html"):
         assert f'href="{link}"' in text
         assert (index.parent / link).is_file()
+    runs = pd.read_parquet(archive / "runs.parquet")
+    outcomes = runs.loc[runs["experiment"] == "one", "outcome"].value_counts()
+    row = text.split(f'href="{reports[0]}"')[1].split("</tr>")[0]
+    shown = [int(count) for count in re.findall(r'<td class="n">(\d+)</td>', row)]
+    titles = re.findall(r'<th class="n">(.*?)</th>', text)
+    stated = dict(zip(titles, shown, strict=True))
+    assert stated.pop("planned runs") == sum(shown[1:]) == outcomes.sum()
+    assert {name: n for name, n in stated.items() if n} == {
+        name.replace("_", " "): n for name, n in outcomes.items()
+    }
     report = (index.parent / reports[0]).read_text(encoding="utf-8")
     assert 'href="../../history/index.html"' in report
 

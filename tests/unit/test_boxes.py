@@ -49,6 +49,20 @@ def test_the_leaf_boxes_of_a_slice_cover_it(recorded):
     assert inside[pruned].any()
 
 
+def test_the_page_of_boxes_states_the_units_of_its_bounds(recorded):
+    found, recorder = recorded
+    result = {
+        "method": "DC-Reg (ours)", "test": "fish noise 0.1", "trial": 0, "status": found.status,
+        "stored": "same", "lower_bound": found.lower_bound, "upper_bound": found.objective,
+    }  # fmt: skip
+    page = boxes._render("1f", result, recorder, "similarity2d")
+    assert f"in squared target units: lower {found.lower_bound:.4g}, upper" in page
+    assert "normalised lower bound" in page  # of the search
+    assert "Bounds of the run" not in boxes._render(
+        "1f", {**result, "lower_bound": None}, recorder, ""
+    )
+
+
 def test_nothing_is_recorded_outside_the_context(recorded):
     _, recorder = recorded
     count = recorder.n_boxes

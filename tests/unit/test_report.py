@@ -417,6 +417,31 @@ def test_methods_are_compared_with_the_best_on_common_instances(tables):
     assert compared("1" * 20, "1" * 15 + "0" * 5)["dcreg-half"].standing == "tied"
     both = compared("1" * 20, "1" * 14 + "0" * 6, "1" * 14 + "0" * 6)
     assert [cell.standing for cell in both.values()] == ["best", "tied", "tied"]
+    # five instances cannot show a difference, not even between 100 % and 0 %; six can
+    assert compared("1" * 5, "0" * 5)["dcreg-half"].standing == "few"
+    assert compared("1" * 6, "1" * 4 + "00")["dcreg-half"].standing == "tied"
+    assert compared("1" * 6, "0" * 6)["dcreg-half"].standing == "worse"
+    # of three methods, or with fewer common instances, it takes more
+    assert compared("1" * 6, "1" * 5 + "0", "0" * 6)["bilinear"].standing == "few"
+    assert compared("1" * 10, "----" + "1" * 5 + "0")["dcreg-half"].standing == "tied"
+    assert compared("1" * 10, "-----" + "1" * 4 + "0")["dcreg-half"].standing == "few"
+
+
+def test_the_outcome_says_where_too_few_instances_decide_nothing(tables, styles):
+    cells = {
+        "icp": {"noise": standing.Cell(2, 2, "best")},
+        "fgr": {"noise": standing.Cell(1, 2, "few")},
+    }
+    said = outcome.sentence(standing.Matrix("rigid3d", ["noise"], cells), styles)
+    assert said.endswith(
+        f"; there are too few instances to say whether {styles['fgr'].name} is worse."
+    )
+    assert "not significantly" not in said
+
+
+def test_the_page_repeats_a_run_of_earlier_tables(tables):
+    older = dataclasses.replace(tables, provenance={"replay": "python -m workflows replay"})
+    assert older.replay_command + "1f" == "make replay RUN=1f"
 
 
 def test_equal_methods_are_rarely_significantly_worse_than_the_best(tables, rng):
@@ -436,8 +461,45 @@ def test_equal_methods_are_rarely_significantly_worse_than_the_best(tables, rng)
 
 
 def test_the_first_sentence_says_what_was_run(tables):
-    said = "6 methods on 63 instances of demo, 3 tests in 2D and 3D: 378 planned runs."
+    said = (
+        "5 of 6 methods were attempted on 63 instances of demo, 3 tests in 2D and 3D: 270 of 378 "
+        "planned runs were attempted, 45 unsupported, 63 unavailable."
+    )
     assert outcome.what(tables) == said
+    runs = tables.runs
+    other_model = runs["method"].eq("icp") & runs["model"].eq("rigid3d")
+    less = dataclasses.replace(tables, runs=attempted(runs[~other_model]))
+    assert outcome.what(less) == (
+        "5 methods were attempted on 63 instances of demo, 3 tests in 2D and 3D: all 252 planned runs "
+        "were attempted. Not every method is planned for every instance: each is planned for 18 to 63 "
+        "of 63."
+    )
+    one = dataclasses.replace(less, runs=less.runs[less.runs["method"] == "icp"])
+    assert outcome.what(one).startswith("1 method was attempted on 45 instances of demo")
+
+
+def test_the_filter_of_methods_reaches_the_boxes_per_stage(html):
+    shown = html.split('id="stages"')[1].split("</section>")[0]
+    rows = re.findall(r'<tr data-method="([^"]*)"><th scope="row">', shown)
+    assert {"dcreg-full", "dcreg-half"} <= set(rows)
+    assert len(rows) == shown.count('<th scope="row">')
+
+
+def test_methods_without_an_attempted_run_are_folded(html):
+    shown = html.split('id="accounting"')[1].split("</table>")[0]
+    folded = html.split('id="idle"')[1].split("</table>")[0]
+    assert re.findall(r'<tr data-method="([^"]*)"', folded) == ["teaser"]
+    assert 'data-method="teaser"' not in shown
+    assert "<summary>1 method without an attempted run</summary>" in html
+
+
+def test_one_attempted_method_is_not_called_the_best(tables, styles):
+    alone = tables.runs[tables.runs["method"].eq("icp") & tables.runs["model"].eq("similarity2d")]
+    (matrix,) = standing.matrices(dataclasses.replace(tables, runs=alone))
+    said = outcome.sentence(matrix, styles)
+    assert "highest" not in said
+    assert said.endswith(f"of {len(alone)} runs; no other method was attempted.")
+    assert not matrix.is_compared
 
 
 def test_the_outcome_names_the_best_methods(tables, styles):

@@ -104,3 +104,17 @@ def test_view_of_a_run_has_no_barrier(browser, pages):
     browser.execute_script(SHORTEN)
     assert barriers(browser) == []
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 420
+
+
+def test_a_page_without_scripts_switches_its_theme(browser, pages):
+    background = "return getComputedStyle(document.body).backgroundColor"
+    seen = []
+    for scheme in ("light", "dark"):
+        view(browser, 1400, scheme)
+        open_page(browser, pages["history"])
+        before = browser.execute_script(background)
+        browser.find_element("css selector", ".theme").click()
+        seen.append((before, browser.execute_script(background)))
+    (light, dark), switched = seen
+    assert light != dark
+    assert switched == (dark, light)

@@ -41,6 +41,14 @@ def choose(page, field, value):
     )  # fmt: skip
 
 
+def test_the_page_says_how_problems_are_proven(page):
+    text = page.find_element("css selector", "main").text
+    bounds = [read_record(name).best_bound for name in all_problems()]
+    enumerated = sum(bound is not None and bound.proof.kind == "enumeration" for bound in bounds)
+    assert f"for {enumerated} tiny problems, all matchings were enumerated" in text
+    assert "states the time tried" in text
+
+
 def test_filters_and_sorting_change_the_table(page):
     assert shown(page) == list(all_problems())
     choose(page, "[data-filter=model]", "rigid3d")

@@ -71,6 +71,22 @@ def test_accounting_is_visible_and_adds_up(page):
     assert all(p == sum(rest) for p, *rest in zip(*rows, strict=True))
 
 
+def test_two_methods_that_are_always_right_have_no_other_instances(page):
+    page.execute_script(
+        "const right = [true, true];"
+        "answer({ both: { counts: { right: [[], [[0, 2, 0, 1]]] } }, labels: ['icp', 'fgr'],"
+        " places: [1, 0], runs: [{ right }, { right }] })"
+    )
+    text = page.execute_script("return $('#versus-answer').textContent")
+    assert text.endswith("are right on all 2 instances.")
+
+
+def test_bounds_far_from_the_last_ones_do_not_flatten_the_others(page):
+    script = "return clipped([{ lower: arguments[0], upper: arguments[1] }])"
+    assert page.execute_script(script, [-24, -1], [30, 2]) == {"range": [-1, 4]}
+    assert page.execute_script(script, [0, 1], [3, 2]) == {}
+
+
 def test_every_figure_is_drawn_when_reached(page):
     names = page.execute_script("return figures.map(f => f.dataset.figure)")
     assert {"paper-examples", "paper-2d", "paper-3d", "levels-similarity2d", "bounds"} <= set(names)
