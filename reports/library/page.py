@@ -17,11 +17,7 @@ from reports.page import pack_json
 WORDS = {
     "easy": "proven by default options within 60 s of CPU time",
     "hard": "proven with other options, in more time or by all matchings",
-<<<<<<< HEAD
-    "open": "not proven so far; the view of the problem states the CPU time of the longest search",
-=======
-    "open": "not proven so far",
->>>>>>> ae7af2fcd244cba96d85f259c8ce95dbfe9987eb
+    "open": "not proven so far; the view states the CPU time of the longest search",
 }
 BIBTEX = """@misc{{dcreg-library-{key},
   title = {{Problem {id} of the DC-Reg library of registration problems with proven optima}},
