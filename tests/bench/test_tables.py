@@ -97,8 +97,11 @@ def test_a_measured_solve_has_what_the_tables_need():
 
 
 def test_peak_memory_sees_a_large_array_and_forgets_it():
-    reset_peak_memory()
-    before = peak_memory_mb()
-    block = np.ones(60 * 2**20 // 8)
-    assert peak_memory_mb() >= before + 50
-    del block
+    grown = []
+    for _ in range(3):  # the system can reclaim other pages of the process meanwhile
+        reset_peak_memory()
+        before = peak_memory_mb()
+        block = np.ones(60 * 2**20 // 8)
+        grown.append(peak_memory_mb() - before)
+        del block
+    assert max(grown) >= 50
