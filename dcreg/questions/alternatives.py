@@ -55,7 +55,8 @@ class Alternative:
     displacement : float
         RMS displacement of the source points relative to the best pose, in units of the target.
     axis : (3,) array, optional
-        Axis of this rotation, in coordinates of the target; None in 2D.
+        Axis of this rotation, in coordinates of the target; None in 2D, or if the rotation displaces the
+        points by at most `min_displacement`, as for a shift.
     fold : int, optional
         The rotation is a multiple of a turn by 360 / `fold` degrees, up to `min_displacement`; None if
         it is not for any number up to `MOST_FOLDS`, or if there is no rotation.
@@ -314,9 +315,11 @@ def _described(
     pose, best, source = setup.frame.pose(T), result.T_certified, setup.problems[0].source
     moved, angle = Moments.of(source).displacement(pose, best), angle_between_deg(pose, best)
     share = Fraction(angle / 360.0).limit_denominator(MOST_FOLDS)
-    apart = np.radians(abs(angle - 360.0 * share)) * result.scale * rms_radius(source)
+    per_degree = np.radians(result.scale * rms_radius(source))  # displacement, about
+    is_fold = share.denominator > 1 and abs(angle - 360.0 * share) * per_degree <= distance
+    is_turned = angle * per_degree > distance
     return Alternative(
         pose, value * setup.frame.area, angle, moved,
-        axis=rotation_axis(pose, best) if len(pose) == 4 else None,
-        fold=share.denominator if share.denominator > 1 and apart <= distance else None,
+        axis=rotation_axis(pose, best) if len(pose) == 4 and is_turned else None,
+        fold=share.denominator if is_fold else None,
     )  # fmt: skip

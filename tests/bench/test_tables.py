@@ -104,4 +104,4 @@ def test_peak_memory_sees_a_large_array_and_forgets_it():
         block = np.ones(60 * 2**20 // 8)
         grown.append(peak_memory_mb() - before)
         del block
-    assert max(grown) >= 50
+    assert np.median(grown) >= 50  # more than once: the reset forgets the last peak

@@ -131,6 +131,17 @@ def test_symmetric_shapes_have_all_their_poses():
     assert "times" not in dict(found.entries())["lower bound"]  # the best objective is 0
 
 
+def test_a_shift_has_neither_axis_nor_fold():
+    """The target holds the source twice, at two places."""
+    twice = np.concatenate([SOURCE[:8], np.array([9.0, 0.0, 0.0]) + SOURCE[:8]])
+    found = dcreg.alternatives(SOURCE[:8], twice, n_inliers=8, model="rigid3d", time_limit=20)
+    shift = found.others[0]
+    assert shift.displacement == pytest.approx(9.0, rel=0.01)
+    assert shift.angle_deg < 1.0
+    assert shift.axis is shift.fold is None
+    assert "about (" not in str(found).partition("best pose")[0]
+
+
 def test_poses_are_distinct_beyond_the_displacement_given():
     """Turns by 72 degrees displace the points by 1.18: between once and twice 0.7."""
     turns = 2 * np.pi * np.arange(5) / 5
