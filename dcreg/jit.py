@@ -35,6 +35,7 @@ try:  # private parts of Numba, which a later version may move
     from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
     from numba.core.codegen import JITCodeLibrary
     from numba.core.compiler import Compiler
+    from numba.core.runtime import rtsys
     from numba.core.targetconfig import TargetConfig
     from numba.misc.appdirs import AppDirs
 
@@ -198,6 +199,12 @@ if HAS_CACHE:
 
     class _Cache(FunctionCache):
         _impl_class = _CacheImpl
+
+        def load_overload(self, sig: Any, target_context: Any) -> Any:
+            """Load a kernel without preparing to compile, which takes 0.2 s; compiling does so itself."""
+            rtsys.initialize(target_context)  # the memory of arrays
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(sig, target_context)
 
     class _InnerLibrary(JITCodeLibrary):
         """Code that is only linked into callers, so no machine code is generated for it alone."""

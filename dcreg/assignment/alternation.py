@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
 from dcreg.assignment.sparse import nearest_pairs
 from dcreg.problem.geometry import apply_pose
+from dcreg.problem.trees import Tree
 from dcreg.search import Budget, Interrupted
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 MAX_ROUNDS = 100
 _MIN_GAIN_NEAREST = 1e-3  # relative decrease below which nearest neighbours are not followed
@@ -117,7 +115,7 @@ def alternate_assignments(
 
 def follow_nearest(
     source: np.ndarray,
-    tree: cKDTree,
+    tree: Tree,
     T: np.ndarray,
     k: int,
     fit_pairs: Callable[[np.ndarray, np.ndarray], np.ndarray],
@@ -136,7 +134,7 @@ def follow_nearest(
     def fit(T: np.ndarray, pairs: np.ndarray) -> np.ndarray | None:
         if budget is not None and budget.is_over:
             return None
-        return fit_pairs(source[pairs[:, 0]], tree.data[pairs[:, 1]])
+        return fit_pairs(source[pairs[:, 0]], tree.points[pairs[:, 1]])
 
     value, pairs = evaluate(T)
     T, value, _, _ = alternate(T, value, pairs, fit, evaluate, _MIN_GAIN_NEAREST, MAX_ROUNDS - 1)

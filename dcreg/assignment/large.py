@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,11 +11,8 @@ from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import nearest_pairs
 from dcreg.problem import Problem, exact_objective
 from dcreg.problem.geometry import apply_pose
-from dcreg.problem.trees import tree_of
+from dcreg.problem.trees import Tree, tree_of
 from dcreg.search import Budget
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 # Points of both clouds from which one matching takes so long that there is only one, without a proof.
 HUGE = 80_000
@@ -72,7 +68,7 @@ def is_huge(problem: Problem) -> bool:
     return len(problem.source) + len(problem.target) > HUGE
 
 
-def near_value(problem: Problem, T: np.ndarray, tree: cKDTree) -> float:
+def near_value(problem: Problem, T: np.ndarray, tree: Tree) -> float:
     """Return the squared distances of some source points to the target: a quick comparison of poses."""
     few, share = _thinned(problem, _FEW)
     return nearest_pairs(apply_pose(T, few), tree, share)[1]
@@ -82,7 +78,7 @@ def descend(
     problem: Problem,
     T_target_source: np.ndarray,
     budget: Budget,
-    tree: cKDTree | None = None,
+    tree: Tree | None = None,
     *,
     prove: bool = True,
 ) -> Descent:
@@ -97,7 +93,7 @@ def descend(
         Without candidates.
     T_target_source : (d+1, d+1) array
     budget : Budget
-    tree : cKDTree, optional
+    tree : Tree, optional
         Of the target.
     prove : bool
         Whether the last matching should be optimal, except of huge clouds. It may take `_PROVING_SHARE`
@@ -186,7 +182,7 @@ def _matched(
     )
 
 
-def _near_fit(problem: Problem, T: np.ndarray, budget: Budget, tree: cKDTree) -> np.ndarray:
+def _near_fit(problem: Problem, T: np.ndarray, budget: Budget, tree: Tree) -> np.ndarray:
     """Return the pose at which some source points stop following their nearest neighbours."""
     for count in (_FEW, _MANY) if is_huge(problem) else (_FEW,):
         some, share = _thinned(problem, count)

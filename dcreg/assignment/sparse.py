@@ -7,17 +7,13 @@ pose, however, a point is matched with one of its neighbours.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dcreg.assignment.kernels.duals import assignment_duals
 from dcreg.assignment.kernels.sparse import greedy_matching, penalised_matching
 from dcreg.jit import NEVER
-from dcreg.problem.trees import new_tree, tree_of
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
+from dcreg.problem.trees import Tree, tree_of
 
 # Maximum number of pairs in a dense matrix, and of neighbour pairs in a sparse one.
 DENSE_PAIRS = 4_000_000
@@ -29,7 +25,6 @@ _HUGE_GREEDY, _MANY_ROWS = 4, 100_000  # fewer neighbours for more rows than thi
 _LAST_NEIGHBOURS, _LAST_SLACK = 2, 1.0  # if the time ends during a query
 _CELLS = 40  # along the longest side, by which many rows are ordered
 _QUERY_ROWS = 20_000  # between two looks at the stop flag
-_MANY_QUERIES = 5000
 _LEFTOVER_ROUNDS, _LAST_ROUNDS = 8, 2  # of pairing near points that are still unmatched
 _SPARE = 3  # points looked at for each pair that is missing
 _MAX_PENALTIES = 16  # of unmatched rows, tried in turn
@@ -115,7 +110,7 @@ def sparse_matching(
 
 
 def _near(
-    tree: cKDTree, points: np.ndarray, count: int, stop: np.ndarray
+    tree: Tree, points: np.ndarray, count: int, stop: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return `count` near points of the tree for each row, nearest first, and their costs.
 
@@ -134,9 +129,7 @@ def _near(
             wanted, slack = min(count, _LAST_NEIGHBOURS), _LAST_SLACK
         rows = order[begin : begin + _QUERY_ROWS]
         some = points[rows]
-        distances, columns[rows, :wanted] = tree.query(
-            some, k=np.arange(1, wanted + 1), eps=slack, workers=_workers(some)
-        )
+        distances, columns[rows, :wanted] = tree.neighbours(some, wanted, slack=slack)
         costs[rows, :wanted] = distances**2
     return columns, costs
 
@@ -242,13 +235,10 @@ def _greedy(columns: np.ndarray, costs: np.ndarray, m: int, k: int) -> np.ndarra
     return greedy_matching(order // width, columns.ravel()[order], n, m, k)
 
 
-def greedy_count(points: np.ndarray, tree: cKDTree, reach: float) -> int:
+def greedy_count(points: np.ndarray, tree: Tree, reach: float) -> int:
     """Return the number of one-to-one pairs with target points within `reach`, nearest first."""
     width = min(_GREEDY_NEIGHBOURS, tree.n)
-    distances, columns = tree.query(
-        points, k=np.arange(1, width + 1), distance_upper_bound=np.nextafter(reach, np.inf),
-        workers=_workers(points),
-    )  # fmt: skip
+    distances, columns = tree.neighbours(points, width, reach=float(np.nextafter(reach, np.inf)))
     rows, ranks = np.nonzero(distances <= reach)
     order = np.argsort(distances[rows, ranks], kind="stable")
     pairs = rows[order], columns[rows, ranks][order]
@@ -265,7 +255,7 @@ def _own_costs(
 
 def _is_proved(
     points: np.ndarray,
-    tree: cKDTree,
+    tree: Tree,
     columns: np.ndarray,
     costs: np.ndarray,
     col_of: np.ndarray,
@@ -311,7 +301,7 @@ def _completed(
         rows, columns = _left_over(col_of, len(target))
         rows = rows[np.argsort(nearest[rows], kind="stable")[: _SPARE * missing]]
         wanted = min(_FIRST_NEIGHBOURS, len(columns))
-        at, costs = _near(new_tree(target[columns]), points[rows], wanted, stop)
+        at, costs = _near(Tree(target[columns]), points[rows], wanted, stop)
         chosen = _greedy(at, costs, len(columns), missing)
         col_of[rows] = np.where(chosen >= 0, columns[chosen], -1)
     missing = k - int((col_of >= 0).sum())
@@ -334,16 +324,11 @@ def _left_over(col_of: np.ndarray, m: int) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(col_of < 0), np.flatnonzero(free)
 
 
-def _workers(points: np.ndarray) -> int:
-    """Return the threads of a query of a tree: all processors if it takes long enough."""
-    return -1 if len(points) > _MANY_QUERIES else 1
-
-
-def nearest_pairs(points: np.ndarray, tree: cKDTree, k: int) -> tuple[np.ndarray, float]:
+def nearest_pairs(points: np.ndarray, tree: Tree, k: int) -> tuple[np.ndarray, float]:
     """Return the k points nearest to the target with their neighbours, and the sum of squares.
 
     The pairs are not one-to-one.
     """
-    distances, columns = tree.query(points, workers=_workers(points))
+    distances, columns = tree.nearest(points)
     rows = np.sort(np.argsort(distances, kind="stable")[:k])
     return np.stack([rows, columns[rows]], axis=1), float((distances[rows] ** 2).sum())

@@ -363,18 +363,18 @@ class _ByNeighbours(_Choice):
     def fit(self, pose: np.ndarray) -> Fit:
         if self.budget.is_over:
             raise Interrupted
-        squares = np.sort(self.tree.query(apply_pose(pose, self.some))[0] ** 2)
+        squares = np.sort(self.tree.nearest(apply_pose(pose, self.some))[0] ** 2)
         rms = np.sqrt(np.cumsum(squares)[self.grid - 1] / self.grid)
         return Fit.of(pose, self.grid, np.maximum(rms, self.rounding), POWER_OF_NEIGHBOURS)
 
     def refined(self, fit: Fit) -> np.ndarray:
-        distances, columns = self.tree.query(apply_pose(fit.pose, self.some))
+        distances, columns = self.tree.nearest(apply_pose(fit.pose, self.some))
         rows = np.argsort(distances, kind="stable")[: self.grid[fit.best]]
         return self.problem.fit(self.some[rows], self.problem.target[columns[rows]])
 
     def number(self, fit: Fit) -> tuple[float, float]:
         """Return how many one-to-one pairs are as near as the best number of neighbours."""
-        distances = np.sort(self.tree.query(apply_pose(fit.pose, self.some))[0])
+        distances = np.sort(self.tree.nearest(apply_pose(fit.pose, self.some))[0])
         near = self.grid[fit.best]
         moved = apply_pose(fit.pose, self.problem.source)
         count = greedy_count(moved, self.tree, max(distances[near - 1], self.rounding))

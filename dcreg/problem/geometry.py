@@ -107,7 +107,7 @@ def median_spacing(points: np.ndarray, max_queries: int = _LOOKED_AT) -> float:
 def _second_nearest(points: np.ndarray, some: np.ndarray) -> np.ndarray:
     """Return the distance of each of `some` points to the second nearest point."""
     if len(points) > _FEW_POINTS:
-        return np.asarray(tree_of(points).query(some, k=2)[0][:, 1])
+        return np.asarray(tree_of(points).neighbours(some, 2)[0][:, 1])
     squared = np.zeros((len(some), len(points)))
     for axis in range(points.shape[1]):
         squared += np.subtract.outer(some[:, axis], points[:, axis]) ** 2
@@ -169,8 +169,7 @@ def isolated(points: np.ndarray) -> np.ndarray:
     if len(points) <= _NEIGHBOURS:
         return np.zeros(len(points), dtype=bool)
     count = min(_AROUND, len(points) - 1)
-    workers = -1 if len(points) > _LOOKED_AT else 1
-    reach, nearest = tree_of(points).query(points, k=count + 1, workers=workers)
+    reach, nearest = tree_of(points).neighbours(points, count + 1)
     usual = np.median(reach[:, _NEIGHBOURS])
     far = np.asarray((reach[:, _NEIGHBOURS] > _ISOLATED * usual) & (usual > 0.0))
     if count < _AROUND:

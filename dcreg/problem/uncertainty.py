@@ -193,7 +193,7 @@ def _search(target: np.ndarray, queries: int) -> Nearest:
     """Return a function from points and a count to distances and rows of their nearest targets."""
     if queries * len(target) > _DENSE:
         tree = tree_of(target)
-        return lambda points, count: _columns(*tree.query(points, k=count))
+        return lambda points, count: tree.neighbours(points, count)
 
     def by_distances(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         squared = np.zeros((len(points), len(target)))
@@ -206,10 +206,6 @@ def _search(target: np.ndarray, queries: int) -> Nearest:
         return np.sqrt(near), np.take_along_axis(rows, order, axis=1)
 
     return by_distances
-
-
-def _columns(distances: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return distances.reshape(len(distances), -1), rows.reshape(len(rows), -1)
 
 
 def _normals(target: np.ndarray, nearest: Nearest, places: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ from dcreg.families.matches.kernels.surfaces import (
 )
 from dcreg.families.matches.problem import MIN_MATCHES
 from dcreg.problem.geometry import fit_pose
+from dcreg.problem.trees import Tree
 
 NEIGHBOURS = 16  # of a point; its normal is that of the plane through them
 MAX_CELLS = 256  # of the grid along an axis
@@ -114,10 +115,8 @@ def _some(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def normals_of(points: np.ndarray, some: np.ndarray) -> np.ndarray:
     """Return unit normals, of either sign, at some of the points: of planes through neighbours."""
-    from scipy.spatial import cKDTree
-
     count = min(NEIGHBOURS, len(points))
-    _, near = cKDTree(points).query(some, k=np.arange(1, count + 1))
+    _, near = Tree(points).neighbours(some, count)
     apart = points[near] - points[near].mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
     return np.ascontiguousarray(axes[:, :, 0])

@@ -99,6 +99,7 @@ from dcreg.families.rigid3d.kernels.tuples import (
 )
 from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.jit import is_compiled
+from dcreg.problem.trees import Tree
 from dcreg.search import Boxes, Budget, Confined, LongestEdge
 
 GROUP_SIZES = range(3, 9)  # source points per group
@@ -187,15 +188,13 @@ def _dealt(count: int, size: int) -> np.ndarray:
 
 def distances_to(target: np.ndarray) -> Distances:
     """Return lower bounds on the distance to (m, 3) points, on a grid that contains them."""
-    from scipy.spatial import cKDTree
-
     lower, upper = target.min(axis=0), target.max(axis=0)
     cell = float((upper - lower).max() + 2.0 * _PADDING) / CELLS
     origin = lower - _PADDING
     sizes = np.ceil((upper + _PADDING - origin) / cell).astype(int)
     axes = [origin[c] + (np.arange(sizes[c]) + 0.5) * cell for c in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    values = cKDTree(target).query(centres)[0].reshape(sizes) * (1.0 - _ROUNDING) - _ROUNDING
+    values = Tree(target).nearest(centres)[0].reshape(sizes) * (1.0 - _ROUNDING) - _ROUNDING
     return Distances(origin, cell, values.astype(np.float32))
 
 

@@ -10,8 +10,6 @@ meet; otherwise it ends as ``converged``.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from dcreg.assignment.descent import alternate
@@ -19,12 +17,9 @@ from dcreg.assignment.sparse import nearest_pairs, sparse_matching
 from dcreg.families.rotation3d.kernels.geometry import best_rotation, rotation_matrix
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.translation3d.kernels.line import match_on_line
-from dcreg.problem.trees import new_tree, tree_of
+from dcreg.problem.trees import Tree, tree_of
 from dcreg.search import Budget, Event, Outcome, Tolerance
 from dcreg.status import Status
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 _CELLS_PER_AXIS = 7  # of the quaternion cube: about 25 degrees
 _SAMPLE = 100
@@ -63,7 +58,7 @@ def search_sampled_rotation(
     began = budget.elapsed()
     few, some = spread_rows(source_shifted, _SAMPLE), spread_rows(source_shifted, _DESCENT_SAMPLE)
     tree = tree_of(target)
-    sparse_tree = new_tree(target[spread_rows(target, _SCORED_TARGETS)])
+    sparse_tree = Tree(target[spread_rows(target, _SCORED_TARGETS)])
     share = n_inliers / len(source_shifted)
     grid = Rotation3D.grid(_CELLS_PER_AXIS)
     scores = np.full(len(grid), np.inf)
@@ -111,7 +106,7 @@ def _part(share: float, count: int) -> int:
 def _descend(
     points: np.ndarray,
     target: np.ndarray,
-    tree: cKDTree,
+    tree: Tree,
     k: int,
     theta: np.ndarray,
     budget: Budget,
@@ -135,7 +130,7 @@ def _two_sided(
     source: np.ndarray,
     sample: np.ndarray,
     target: np.ndarray,
-    tree: cKDTree,
+    tree: Tree,
     share: float,
     theta: np.ndarray,
 ) -> float:
@@ -149,5 +144,5 @@ def _two_sided(
     k_back = _part(share * len(source) / len(target), len(back))
     k = _part(share, len(sample))
     _, there = nearest_pairs(sample @ rotation.T, tree, k)
-    _, here = nearest_pairs(back, new_tree(source @ rotation.T), k_back)
+    _, here = nearest_pairs(back, Tree(source @ rotation.T), k_back)
     return max(there / k, here / k_back)

@@ -47,6 +47,7 @@ from dcreg.families.parallel import in_threads
 from dcreg.families.similarity2d.kernels.exclusion import Distances, Sides, divide_boxes
 from dcreg.families.similarity2d.space import Similarity2D, largest_subset_mean
 from dcreg.jit import is_compiled
+from dcreg.problem.trees import Tree
 from dcreg.search import Boxes, Budget, Confined, LongestEdge
 
 CELLS = 640  # of the grid of distances, along the longest side
@@ -65,15 +66,13 @@ SAMPLED = 0.1  # share of the allowed time that one slice may take, or the first
 
 def distances_to(points: np.ndarray) -> Distances:
     """Return lower bounds on the squared distance to (n, 2) points, on a grid around them."""
-    from scipy.spatial import cKDTree
-
     lower, upper = points.min(axis=0), points.max(axis=0)
     side = max(float((upper - lower).max()), 1e-9)
     cell, origin = side * (1.0 + 2.0 * _PADDING) / CELLS, lower - _PADDING * side
     sizes = np.ceil((upper - origin + _PADDING * side) / cell).astype(int)
     axes = [origin[c] + (np.arange(sizes[c]) + 0.5) * cell for c in range(2)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    least = cKDTree(points).query(centres)[0].reshape(sizes) - np.sqrt(0.5) * cell
+    least = Tree(points).nearest(centres)[0].reshape(sizes) - np.sqrt(0.5) * cell
     least = np.maximum(0.0, least * (1.0 - _ROUNDING) - _ROUNDING * side)
     return Distances(origin, 1.0 / cell, (least**2).astype(np.float32))
 
