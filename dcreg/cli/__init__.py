@@ -35,5 +35,6 @@ def _start_fast() -> None:
     # The OpenBLAS of NumPy and that of SciPy start one thread per processor each. Such a thread spins for
     # a tenth of a second before it sleeps (2^28 cycles; 4 is the minimum).
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # the same for those of the search trees
     # what is loaded stays alive: searching it for cycles time and again finds nothing
     gc.set_threshold(100_000, 20, 100)

@@ -123,7 +123,9 @@ def _sum_of_smallest(values, k, levels, side):
     """
     found, levels[side] = smallest_sum(values, k, levels[side], 0.05 * abs(levels[side]) / k)
     if k == values.size:  # the sum of all has no level of its own
-        levels[side] = values.max()
+        levels[side] = 0.0
+        for value in values:
+            levels[side] = max(levels[side], value)
     return found
 
 
@@ -188,6 +190,13 @@ def is_excluded(sides, centre, half, cutoff, work, levels):
     return False, max(to_source, to_target) < cutoff
 
 
+@jit_part
+def _copy_box(low, high, to_low, to_high):
+    """Copy a box by loops: an assignment of slices takes a second to compile, for its error message."""
+    for c in range(low.size):
+        to_low[c], to_high[c] = low[c], high[c]
+
+
 @jit
 def divide_boxes(boxes, sides, cutoff, weights, limits, stop, left):
     """Divide boxes until their parts are excluded, of no use to divide, or small.
@@ -217,10 +226,11 @@ def divide_boxes(boxes, sides, cutoff, weights, limits, stop, left):
     centre, half = np.empty(4), np.empty(4)
     n, m = sides.source.shape[1], sides.target.shape[1]
     work = np.empty(n), np.empty(m), np.empty(n, np.int32), np.empty(m, np.int32)
-    levels = np.ones(2)
+    levels = np.empty(2)
+    levels[0] = levels[1] = 1.0
     for box in range(lower.shape[0]):
         depth = 1
-        low[0], high[0] = lower[box], upper[box]
+        _copy_box(lower[box], upper[box], low[0], high[0])
         while depth > 0:
             depth -= 1
             if stop[0] or n_tested >= most:
@@ -243,10 +253,10 @@ def divide_boxes(boxes, sides, cutoff, weights, limits, stop, left):
                 continue
             if is_useless or 2.0 * longest <= small or depth + 2 > _DEPTH:
                 if n_left < left[0].shape[0]:
-                    left[0][n_left], left[1][n_left] = low[depth], high[depth]
+                    _copy_box(low[depth], high[depth], left[0][n_left], left[1][n_left])
                 n_left += 1
                 continue
-            low[depth + 1], high[depth + 1] = low[depth], high[depth]
+            _copy_box(low[depth], high[depth], low[depth + 1], high[depth + 1])
             high[depth, axis] = low[depth + 1, axis] = centre[axis]
             depth += 2
     return n_left, n_tested
