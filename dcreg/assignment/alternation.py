@@ -8,8 +8,6 @@ from typing import TypeVar
 import numpy as np
 
 from dcreg.assignment.kernels.dense import cheapest_pairs, improve_assignment
-from dcreg.assignment.sparse import nearest_pairs
-from dcreg.problem.geometry import apply_pose
 from dcreg.problem.trees import Tree
 from dcreg.search import Budget, Interrupted
 
@@ -116,26 +114,43 @@ def alternate_assignments(
 def follow_nearest(
     source: np.ndarray,
     tree: Tree,
-    T: np.ndarray,
+    poses: np.ndarray,
     k: int,
     fit_pairs: Callable[[np.ndarray, np.ndarray], np.ndarray],
     budget: Budget | None = None,
-) -> tuple[np.ndarray, float]:
-    """Alternate the k nearest neighbours and their pose while their distance falls.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Alternate the k nearest neighbours and their pose while their distance falls, from several poses.
 
-    Returns the final pose and the sum of squared distances of its pairs, which are not one-to-one. `tree`
-    contains the target, and `fit_pairs` returns the pose of paired points.
+    Parameters
+    ----------
+    source : (n, d) array
+    tree : Tree
+        Of the target.
+    poses : (P, d+1, d+1) array
+    k : int
+    fit_pairs : callable
+        From (P, k, d) source and target points to the (P, d+1, d+1) poses of these pairs.
+    budget : Budget, optional
+
+    Returns
+    -------
+    (P, d+1, d+1) array, (P,) array
+        Where each ended, and the sum of squared distances of its pairs, which are not one-to-one.
     """
-
-    def evaluate(T: np.ndarray) -> tuple[float, np.ndarray]:
-        pairs, value = nearest_pairs(apply_pose(T, source), tree, k)
-        return value, pairs
-
-    def fit(T: np.ndarray, pairs: np.ndarray) -> np.ndarray | None:
-        if budget is not None and budget.is_over:
-            return None
-        return fit_pairs(source[pairs[:, 0]], tree.points[pairs[:, 1]])
-
-    value, pairs = evaluate(T)
-    T, value, _, _ = alternate(T, value, pairs, fit, evaluate, _MIN_GAIN_NEAREST, MAX_ROUNDS - 1)
-    return T, value
+    d = source.shape[1]
+    ends, values = poses.copy(), np.full(len(poses), np.inf)
+    active, trials = np.arange(len(poses)), poses
+    for _ in range(MAX_ROUNDS):
+        moved = source @ np.swapaxes(trials[:, :d, :d], 1, 2) + trials[:, None, :d, d]
+        distances, columns = tree.nearest(moved.reshape(-1, d))
+        distances, columns = (each.reshape(moved.shape[:2]) for each in (distances, columns))
+        rows = np.argsort(distances, axis=1, kind="stable")[:, :k]
+        found = (np.take_along_axis(distances, rows, axis=1) ** 2).sum(axis=1)
+        better = found < values[active] * (1.0 - _MIN_GAIN_NEAREST)
+        active, rows = active[better], rows[better]
+        ends[active], values[active] = trials[better], found[better]
+        if not len(active) or (budget is not None and budget.is_over):
+            break
+        near = np.take_along_axis(columns[better], rows, axis=1)
+        trials = fit_pairs(source[rows], tree.points[near])
+    return ends, values

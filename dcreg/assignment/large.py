@@ -184,9 +184,13 @@ def _matched(
 
 def _near_fit(problem: Problem, T: np.ndarray, budget: Budget, tree: Tree) -> np.ndarray:
     """Return the pose at which some source points stop following their nearest neighbours."""
+
+    def fit(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+        return problem.fit(source[0], target[0])[None]
+
     for count in (_FEW, _MANY) if is_huge(problem) else (_FEW,):
         some, share = _thinned(problem, count)
-        T, _ = follow_nearest(some, tree, T, share, problem.fit, budget)
+        T = follow_nearest(some, tree, T[None], share, fit, budget)[0][0]
     return T
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -114,14 +113,20 @@ def overlap(R, t, points, field, floor):
     n0, n1, n2 = field.values.shape
     mean = NEAREST * floor / n
     spread = _DEVIATIONS * _DEVIATIONS * mean * (NEAREST - mean) / n
+    # from a point to its cell, in cells
+    r00, r01, r02 = R[0, 0] * per_cell, R[0, 1] * per_cell, R[0, 2] * per_cell
+    r10, r11, r12 = R[1, 0] * per_cell, R[1, 1] * per_cell, R[1, 2] * per_cell
+    r20, r21, r22 = R[2, 0] * per_cell, R[2, 1] * per_cell, R[2, 2] * per_cell
+    s0, s1 = (t[0] - origin[0]) * per_cell, (t[1] - origin[1]) * per_cell
+    s2 = (t[2] - origin[2]) * per_cell
     score = 0.0
     for i in range(n):
         u, v, w = points[i, 0], points[i, 1], points[i, 2]
-        a = math.floor((R[0, 0] * u + R[0, 1] * v + R[0, 2] * w + t[0] - origin[0]) * per_cell)
-        b = math.floor((R[1, 0] * u + R[1, 1] * v + R[1, 2] * w + t[1] - origin[1]) * per_cell)
-        c = math.floor((R[2, 0] * u + R[2, 1] * v + R[2, 2] * w + t[2] - origin[2]) * per_cell)
-        if 0 <= a < n0 and 0 <= b < n1 and 0 <= c < n2:
-            score += field.values[a, b, c]
+        a = r00 * u + r01 * v + r02 * w + s0
+        b = r10 * u + r11 * v + r12 * w + s1
+        c = r20 * u + r21 * v + r22 * w + s2
+        if 0.0 <= a < n0 and 0.0 <= b < n1 and 0.0 <= c < n2:
+            score += field.values[np.uintp(int(a)), np.uintp(int(b)), np.uintp(int(c))]
         short = mean * (i + 1) - score
         if short > 0.0 and short * short > spread * (i + 1) * (n - 1 - i):
             return 0.0

@@ -20,7 +20,9 @@ def assignment_duals(columns, costs, col_of, own, m):
     optimal matching.
     """
     u, v = own.copy(), np.zeros(m)
-    tolerance = 1e-12 * own.max()
+    tolerance = 0.0
+    for cost in own:
+        tolerance = max(tolerance, 1e-12 * cost)
     for _ in range(_MAX_PASSES):
         converged = True
         for i in range(columns.shape[0]):

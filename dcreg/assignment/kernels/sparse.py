@@ -33,7 +33,9 @@ def penalised_matching(columns, costs, penalty, stop, col_of, row_of, u, v):
     dist, pred, done = np.full(m, np.inf), np.empty(m, np.int64), np.zeros(m, np.bool_)
     touched = np.empty(m, np.int64)
     keys, items = np.empty(4 * m + width), np.empty(4 * m + width, np.int64)
-    for start in np.flatnonzero(col_of < 0):
+    for start in range(n):  # `np.flatnonzero` and the like would load much of Numba with the kernel
+        if col_of[start] >= 0:
+            continue
         if stop[0]:
             return
         row, reach, size, n_touched, n_settled = start, 0.0, 0, 0, 0

@@ -80,10 +80,11 @@ class RigidNear(NearSpace, RigidInRegion):
 
     def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
         x, y = self.matched(col_of)
-        return self.parameter(self.fit_pairs(x.T, y.T))
+        return self.parameter(self.pose_range.fit(x.T, y.T, (1.0, 1.0)))
 
     def fit_pairs(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-        return self.pose_range.fit(source, target, (1.0, 1.0))
+        pairs = zip(source, target, strict=True)
+        return np.array([self.pose_range.fit(x, y, (1.0, 1.0)) for x, y in pairs])
 
     def seeds(self) -> np.ndarray:
         """Return regular poses of the model, moved into the range, each once."""

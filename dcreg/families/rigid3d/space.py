@@ -261,7 +261,7 @@ class Poses3D(CloudSpace):
 
     @abc.abstractmethod
     def fit_pairs(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the (4, 4) least-squares pose of paired (k, 3) points."""
+        """Return the (P, 4, 4) least-squares poses of paired (P, k, 3) points."""
 
     @abc.abstractmethod
     def _poses_of_triples(self, seed: int) -> np.ndarray:
@@ -357,7 +357,6 @@ class Rigid3D(Poses3D):
         )  # fmt: skip
 
     def fit_pairs(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the (4, 4) least-squares pose of paired (k, 3) points."""
         return fit_pose(source, target, (1.0, 1.0))
 
     @staticmethod

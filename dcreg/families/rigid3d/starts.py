@@ -254,11 +254,9 @@ def best_descents(
     rng = np.random.default_rng(seed)
     sample = source[np.sort(rng.permutation(len(source))[:MAX_SAMPLE])]
     k = max(3, round(n_inliers * len(sample) / len(source)))
-    tree = tree_of(target)
-    ends = [follow_nearest(sample, tree, T, k, fit_pairs) for T in poses]
-    if not ends:
-        return np.empty((0, 4, 4))
-    found, values = np.array([T for T, _ in ends]), np.array([value for _, value in ends])
+    if not len(poses):
+        return poses
+    found, values = follow_nearest(sample, tree_of(target), poses, k, fit_pairs)
     return distinct_poses(found[:, :3], 1.0 / np.maximum(values, np.finfo(float).tiny), count)
 
 

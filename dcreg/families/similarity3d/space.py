@@ -144,7 +144,6 @@ class Similarity3D(Poses3D):
         return fit_similarity(source, target, self.scale_range)
 
     def fit_pairs(self, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the (4, 4) least-squares pose of paired (k, 3) points."""
         return fit_pose(source, target, self.scale_range)
 
     def of_points(self, source: np.ndarray, target: np.ndarray, n_inliers: int) -> Similarity3D:

@@ -11,33 +11,13 @@ import math
 
 import numpy as np
 
+from dcreg.assignment.kernels.selection import kth_smallest
 from dcreg.families.kernels import overlap
 from dcreg.jit import jit, jit_part
 
-
-@jit
-def frame(p, q, r, out):
-    """Fill the frame of a triangle, as columns: along p q, in its plane, normal. False if degenerate."""
-    for a in range(3):
-        out[a, 0] = q[a] - p[a]
-        out[a, 1] = r[a] - p[a]
-    length = math.sqrt(out[0, 0] ** 2 + out[1, 0] ** 2 + out[2, 0] ** 2)
-    if length < 1e-12:
-        return False
-    for a in range(3):
-        out[a, 0] /= length
-    along = out[0, 0] * out[0, 1] + out[1, 0] * out[1, 1] + out[2, 0] * out[2, 1]
-    for a in range(3):
-        out[a, 1] -= along * out[a, 0]
-    length = math.sqrt(out[0, 1] ** 2 + out[1, 1] ** 2 + out[2, 1] ** 2)
-    if length < 1e-12:
-        return False
-    for a in range(3):
-        out[a, 1] /= length
-    out[0, 2] = out[1, 0] * out[2, 1] - out[2, 0] * out[1, 1]
-    out[1, 2] = out[2, 0] * out[0, 1] - out[0, 0] * out[2, 1]
-    out[2, 2] = out[0, 0] * out[1, 1] - out[1, 0] * out[0, 1]
-    return True
+# Scores of all triples so far that a later one must exceed. The best distinct poses are nearly always
+# among so many, unless most triples have found the same pose.
+N_BEST = 60
 
 
 @jit
@@ -54,32 +34,85 @@ def first_at_least(values, least):
 
 
 @jit_part
-def align(F, G, scale, p, q, r, R, t):
-    """Fill R with `scale` times the rotation from frame F to G; t is the centroid of the target triple.
+def place(F, G, scale, centroid, middle, R, t):
+    """Fill the pose that moves a triangle's frame F and centroid to the frame G and to `middle`.
 
-    Afterwards x -> R x + t moves the centroid of p, q and r there.
+    R is `scale` times a rotation.
     """
     for a in range(3):
+        t[a] = middle[a]
         for b in range(3):
             R[a, b] = scale * (G[a, 0] * F[b, 0] + G[a, 1] * F[b, 1] + G[a, 2] * F[b, 2])
-            t[a] -= R[a, b] * (p[b] + q[b] + r[b]) / 3.0
+            t[a] -= R[a, b] * centroid[b]
 
 
 @jit_part
-def offer(R, t, weight, looked, field, scores, poses):
-    """Store a pose in place of the worst one if it scores more: its overlap times `weight`."""
+def direction(p, q, out):
+    """Fill the first column of the frame of a triangle that begins with p and q; False: p = q."""
+    length = 0.0
+    for a in range(3):
+        out[a, 0] = q[a] - p[a]
+        length += out[a, 0] * out[a, 0]
+    length = math.sqrt(length)
+    if length < 1e-12:
+        return False
+    for a in range(3):
+        out[a, 0] /= length
+    return True
+
+
+@jit_part
+def complete(p, r, out):
+    """Fill the other columns of the frame of a triangle, as `frame` does; False if degenerate."""
+    along = length = 0.0
+    for a in range(3):
+        out[a, 1] = r[a] - p[a]
+        along += out[a, 0] * out[a, 1]
+    for a in range(3):
+        out[a, 1] -= along * out[a, 0]
+        length += out[a, 1] * out[a, 1]
+    length = math.sqrt(length)
+    if length < 1e-12:
+        return False
+    for a in range(3):
+        out[a, 1] /= length
+    out[0, 2] = out[1, 0] * out[2, 1] - out[2, 0] * out[1, 1]
+    out[1, 2] = out[2, 0] * out[0, 1] - out[0, 0] * out[2, 1]
+    out[2, 2] = out[0, 0] * out[1, 1] - out[1, 0] * out[0, 1]
+    return True
+
+
+@jit
+def frame(p, q, r, out):
+    """Fill the frame of a triangle, as columns: along p q, in its plane, normal. False if degenerate."""
+    return direction(p, q, out) and complete(p, r, out)
+
+
+@jit_part
+def offer(R, t, weight, looked, field, least, scores, poses):
+    """Store a pose in place of the worst one if it scores more: its overlap times `weight`.
+
+    Scores up to `least` do not count.
+    """
     worst = 0
     for other in range(1, scores.size):
         if scores[other] < scores[worst]:
             worst = other
-    floor = scores[worst] / weight
+    floor = max(scores[worst], least) / weight
     score = weight * overlap(R, t, looked, field, floor)
-    if score > scores[worst]:
+    if score > scores[worst] and score > least:
         scores[worst] = score
         for a in range(3):
             poses[worst, a, 3] = t[a]
             for b in range(3):
                 poses[worst, a, b] = R[a, b]
+
+
+@jit_part
+def least_of_best(scores, done):
+    """Return the score of rank `N_BEST` of the first `done` triples; 0 of fewer scores."""
+    count = done * scores.shape[1]
+    return kth_smallest(scores[:done].ravel(), count - N_BEST) if count >= N_BEST else 0.0
 
 
 @jit
@@ -113,12 +146,16 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
     first, second, distances, order, ascending = pairs
     tolerance, looked, field, stop = search
     F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    centroid, middle = np.empty(3), np.empty(3)
     tried = 0
     for at in range(triples.shape[0]):
         u, v, w = triples[at, 0], triples[at, 1], triples[at, 2]
         p, q, r = source[u], source[v], source[w]
+        least = least_of_best(scores, at)
         if not frame(p, q, r, F):
             continue
+        for a in range(3):
+            centroid[a] = (p[a] + q[a] + r[a]) / 3.0
         near_pr, far_pr = sides[at, 0] - tolerance, sides[at, 0] + tolerance
         near_qr, far_qr = sides[at, 1] - tolerance, sides[at, 1] + tolerance
         for pair in range(int(sides[at, 2]), int(sides[at, 3])):
@@ -127,19 +164,21 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
             i, j = first[pair], second[pair]
             if feasible.size > 0 and not (feasible[u, i] and feasible[v, j]):
                 continue
-            for place in range(first_at_least(ascending[i], near_pr), target.shape[0]):
-                if ascending[i, place] > far_pr:
+            if not direction(target[i], target[j], G):
+                continue
+            for rank in range(first_at_least(ascending[i], near_pr), target.shape[0]):
+                if ascending[i, rank] > far_pr:
                     break
-                k = order[i, place]
+                k = order[i, rank]
                 if not near_qr <= distances[j, k] <= far_qr or k in (i, j):
                     continue
                 if feasible.size > 0 and not feasible[w, k]:
                     continue
-                if not frame(target[i], target[j], target[k], G):
+                if not complete(target[i], target[k], G):
                     continue
                 tried += 1
                 for a in range(3):
-                    t[a] = (target[i, a] + target[j, a] + target[k, a]) / 3.0
-                align(F, G, 1.0, p, q, r, R, t)
-                offer(R, t, 1.0, looked, field, scores[at], poses[at])
+                    middle[a] = (target[i, a] + target[j, a] + target[k, a]) / 3.0
+                place(F, G, 1.0, centroid, middle, R, t)
+                offer(R, t, 1.0, looked, field, least, scores[at], poses[at])
     return tried

@@ -11,7 +11,15 @@ import math
 
 import numpy as np
 
-from dcreg.families.rigid3d.kernels.congruent import align, first_at_least, frame, offer
+from dcreg.families.rigid3d.kernels.congruent import (
+    complete,
+    direction,
+    first_at_least,
+    frame,
+    least_of_best,
+    offer,
+    place,
+)
 from dcreg.jit import jit
 
 
@@ -42,12 +50,16 @@ def similar_triple_poses(triples, sides, clouds, feasible, pairs, search, poses,
     first, second, distances, order, ascending = pairs
     tolerance, looked, field, stop = search
     F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    centroid, middle = np.empty(3), np.empty(3)
     tried = 0
     for at in range(triples.shape[0]):
         u, v, w = triples[at, 0], triples[at, 1], triples[at, 2]
         p, q, r = source[u], source[v], source[w]
+        least = least_of_best(scores, at)
         if not frame(p, q, r, F):
             continue
+        for a in range(3):
+            centroid[a] = (p[a] + q[a] + r[a]) / 3.0
         pq, pr, qr = sides[at, 0], sides[at, 1], sides[at, 2]
         for pair in range(int(sides[at, 3]), int(sides[at, 4])):
             if stop[0]:
@@ -55,24 +67,26 @@ def similar_triple_poses(triples, sides, clouds, feasible, pairs, search, poses,
             i, j = first[pair], second[pair]
             if feasible.size > 0 and not (feasible[u, i] and feasible[v, j]):
                 continue
+            if not direction(target[i], target[j], G):
+                continue
             ratio = distances[i, j] / pq
             far_pr = ratio * pr + tolerance
             near = first_at_least(ascending[i], ratio * pr - tolerance)
-            for place in range(near, target.shape[0]):
-                if ascending[i, place] > far_pr:
+            for rank in range(near, target.shape[0]):
+                if ascending[i, rank] > far_pr:
                     break
-                k = order[i, place]
+                k = order[i, rank]
                 if abs(ratio * qr - distances[j, k]) > tolerance or k in (i, j):
                     continue
                 if feasible.size > 0 and not feasible[w, k]:
                     continue
-                if not frame(target[i], target[j], target[k], G):
+                if not complete(target[i], target[k], G):
                     continue
                 tried += 1
                 scale = (distances[i, j] + distances[i, k] + distances[j, k]) / (pq + pr + qr)
                 for a in range(3):
-                    t[a] = (target[i, a] + target[j, a] + target[k, a]) / 3.0
-                align(F, G, scale, p, q, r, R, t)
+                    middle[a] = (target[i, a] + target[j, a] + target[k, a]) / 3.0
+                place(F, G, scale, centroid, middle, R, t)
                 # a smaller source is near the target more often by chance
-                offer(R, t, math.sqrt(scale), looked, field, scores[at], poses[at])
+                offer(R, t, math.sqrt(scale), looked, field, least, scores[at], poses[at])
     return tried
