@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from operator import itemgetter
 from typing import NamedTuple
@@ -226,13 +227,15 @@ def _refined_large(
     """Follow nearest neighbours from the poses, and match only where these end."""
     tree, sizes = tree_of(problem.target), (problem.source, problem.target, problem.n_inliers)
     near = [near_value(problem, pose, tree) for pose in (T, *others)]
-    first = descend(problem, T, budget, tree)
+    with ThreadPoolExecutor(1) as pool:  # both take as long on large clouds
+        rough = pool.submit(quick_pairs, problem, T, budget)
+        first, own = descend(problem, T, budget, tree), rough.result()
     poses: list[Pose] = [(first.value, first.T_target_source, first.pairs)]
     ends, spent = [(first.T_target_source, first.value)], first.n_assignments
     before = first.before
     is_rough = not first.greedy and first.value > exact_objective(*sizes)
     # the pairs of the last pose can be far from the best ones at the first pose, which can be better
-    if is_rough and (own := quick_pairs(problem, T, budget)) is not None:
+    if is_rough and own is not None:
         before, spent = min(before, own[0]), spent + 1
         poses.append((own[0], T, own[1]))
     rounding = rounding_error(*sizes)

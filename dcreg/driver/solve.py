@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 _LOGGER = logging.getLogger("dcreg")
 # Seconds for a proof by default. A proof about a sample says little about all points, so it gets less.
-PATIENCE_S, SAMPLE_PATIENCE_S = 5.0, 0.25
+PATIENCE_S, SAMPLE_PATIENCE_S = 5.0, 0.1
 
 
 def register_problem(
