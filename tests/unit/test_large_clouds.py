@@ -263,9 +263,9 @@ def test_a_stop_during_a_query_leaves_few_neighbours_of_the_rest(rng, monkeypatc
     stop, tree = np.zeros(1, np.uint8), sparse.tree_of(problem.target)
 
     class Stopping:
-        def query(self, points, **settings):
+        def neighbours(self, points, count, **settings):
             stop[0] = 1
-            return tree.query(points, **settings)
+            return tree.neighbours(points, count, **settings)
 
     columns, costs = sparse._near(Stopping(), problem.source, 8, stop)
     assert np.isfinite(costs[:500]).all()
