@@ -10,7 +10,7 @@ import signal
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -68,7 +68,7 @@ class Batch:
         out, graph = files.out_path, files.graph_path
         self._check(graph, jobs)
         names = self._names()
-        tasks = self._tasks(names)
+        tasks = self._tasks(names, 1 if jobs > 1 else None)
         inputs = [str(self.pairs), self.search.candidates_path, self.poses.init]
         files.check(*inputs, *(file for task in tasks for file in (task.source, task.target)))
         table = _Table(out, columns(self.search.model), _described(names))
@@ -133,15 +133,17 @@ class Batch:
             raise dcreg.InputError(f"{self.pairs}: line {line}: {error}") from None
         return found
 
-    def _tasks(self, names: list[Row]) -> list[Task]:
+    def _tasks(self, names: list[Row], threads: int | None) -> list[Task]:
+        """Return the pairs; `threads` is the default of each search."""
         folder = self.pairs.parent
+        search = replace(self.search, threads=self.search.threads or threads)
         return [
             Task(
                 place,
                 str(folder / row["source"]),
                 str(folder / row["target"]),
                 row["n_inliers"],
-                self.search,
+                search,
                 self.poses,
                 self.drop_invalid,
             )

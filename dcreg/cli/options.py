@@ -220,7 +220,8 @@ class Search:
         Maximum memory of the open boxes of a search; while their number grows, up to three times as
         much can be in use. Default: no limit.
     threads : N
-        Number of threads. They change the result only if elapsed time ends a step of the search.
+        Number of threads; default: all processors, at most 8. They change the result only if elapsed
+        time ends a step of the search.
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
@@ -244,7 +245,7 @@ class Search:
     time_limit: float = DEFAULT_TIME_LIMIT_S
     node_limit: int | None = None
     memory_limit_mb: float | None = None
-    threads: int = 1
+    threads: int | None = None
     polish: bool = True
     prove: bool = False
     downsample: int | None = None

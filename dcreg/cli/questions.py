@@ -119,7 +119,7 @@ class Count:
     time_limit : S
         Seconds of all searches together; inf: no limit.
     threads : N
-        Number of threads.
+        Number of threads; default: all processors, at most 8.
     """
 
     model: str
@@ -127,7 +127,7 @@ class Count:
     scale_range: tuple[float, float] | None = None
     candidates_path: str | None = None
     time_limit: float = DEFAULT_TIME_LIMIT_S
-    threads: int = 1
+    threads: int | None = None
 
 
 @command

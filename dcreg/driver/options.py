@@ -12,8 +12,16 @@ from dcreg.names import DEFAULT_REL_GAP, START_BOXES
 from dcreg.problem.errors import InputError, suggestion
 from dcreg.search import Budget, Listener, Tolerance
 
+MAX_DEFAULT_THREADS = 8  # more make few searches faster, and the machine serves others as well
 MAX_THREADS = 1024
 SMALLEST = np.nextafter(0.0, 1.0)  # positive number
+
+
+def usable_processors() -> int:
+    """Return the number of processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
@@ -32,8 +40,9 @@ class SolveOptions:
         Both contain every optimum. ``radius`` follows from the radii of the clouds alone. ``stationary``
         uses the fact that an optimal pose is stationary: its translation is a difference of means of
         `n_inliers` points (a single value when all points match).
-    threads : int
-        Threads of the search. With a limit on boxes or assignments they do not change the result.
+    threads : int, optional
+        Threads of the search; default: one for each processor that the process may use, at most
+        `MAX_DEFAULT_THREADS`. With a limit on boxes or assignments they do not change the result.
         Otherwise they can change which boxes are searched, but not the validity of the bounds. With more
         than 40,000 point pairs, the initial poses use two threads; neighbour queries of large clouds use
         all processors.
@@ -54,7 +63,7 @@ class SolveOptions:
     prove : bool
         Search to the time limit for a proof. By default, mode ``full`` and searches of samples end with
         status ``converged`` if a proof takes, or is expected to take, more than five seconds after the
-        initial poses: 25 if these are not confirmed; for a sample, 0.25 and 1.25. Sweeps over all points,
+        initial poses: 25 if these are not confirmed; for a sample, 0.1 and 0.5. Sweeps over all points,
         and searches with a limit on boxes or assignments, continue to their limits.
     assignment_limit : int, optional
         Maximum number of exact assignments of each search, including those of the initial poses. In
@@ -85,7 +94,7 @@ class SolveOptions:
     mode: str | None = None
     bound: str | None = None
     start_box: str = START_BOXES[0]
-    threads: int = 1
+    threads: int | None = None
     polish: bool = True
     certificate: bool = False
     downsample: int | None = None
@@ -100,8 +109,8 @@ class SolveOptions:
             raise InputError(
                 f"start_box: {self.start_box!r} is unknown{suggestion(self.start_box, START_BOXES)}"
             )
-        check_positive("threads", self.threads, such_as=4, optional=False)
-        if self.threads > MAX_THREADS:
+        check_positive("threads", self.threads, such_as=4)
+        if (self.threads or 1) > MAX_THREADS:
             raise InputError(
                 f"threads: {self.threads} threads are too many; give at most {MAX_THREADS}"
             )
@@ -117,6 +126,11 @@ class SolveOptions:
             raise InputError(
                 f"listener: {self.listener!r} cannot be called; give a function of one dcreg.Event"
             )
+
+    @property
+    def n_threads(self) -> int:
+        """Threads of the search."""
+        return self.threads or min(usable_processors(), MAX_DEFAULT_THREADS)
 
     def refuse_checkpoint(self) -> None:
         """Refuse a checkpoint, for a function that saves none.

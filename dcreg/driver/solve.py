@@ -202,7 +202,7 @@ class Setup:
         return NormalisedProblem(
             frame.source(source), frame.target(target), k, problem.scale_range, problem.candidates,
             frame, options.bound or mode.own_bound, options.start_box == START_BOXES[0],
-            tolerance.scaled(1.0 / frame.area), options.threads, budget, options.certificate,
+            tolerance.scaled(1.0 / frame.area), options.n_threads, budget, options.certificate,
             self._patience_s(), _region(problem, frame),
             None if options.init is None else frame.normalised_pose(options.init),
             None if problem.weights is None else problem.weights.scaled(1.0 / frame.area),

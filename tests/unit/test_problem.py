@@ -17,7 +17,6 @@ GOOD = np.random.default_rng(0).random((6, 2))
         ({"scale_range": 3}, "scale_range: 3 is not a pair"),
         ({"tol": "small"}, "tol: 'small'.*give a length"),
         ({"threads": 2.5}, r"threads: 2\.5 is not a whole number"),
-        ({"threads": None}, "threads: None is not a whole number"),
         ({"node_limit": 2.5}, r"node_limit: 2\.5 is not a whole number; give one such as"),
         ({"memory_limit_mb": 0}, "memory_limit_mb: 0 .*give a positive number"),
         ({"polish": "no"}, "polish: 'no' is not a bool; give True or False"),

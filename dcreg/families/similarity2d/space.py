@@ -21,7 +21,7 @@ from dcreg.search import Box, Budget
 
 # Shares of the pairs beyond k with which local searches begin; they end with k pairs.
 _SURPLUS = (0.75, 0.5, 0.25)
-MAX_SCORED = 300  # points of each cloud by which seeds are scored
+MAX_SCORED = 150  # points of each cloud by which seeds are scored
 
 
 def largest_subset_mean(
