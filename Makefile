@@ -280,10 +280,10 @@ wheel: setup
 	  --disable-pip-version-check --no-build-isolation --wheel-dir results/dist .
 	@sha256sum results/dist/dcreg-*.whl
 
-## floors: run the library's tests with the oldest packages that pyproject.toml allows
-.PHONY: floors
-floors:
-	@workflows/floors.sh $(PYTHON)
+## lowest, newest: run the library's tests with the oldest or newest packages that pyproject.toml allows (PYTHON=python3.13)
+.PHONY: lowest newest
+lowest newest:
+	@workflows/library_versions.sh $(PYTHON) $@
 
 ## setup: create the virtual environment with the locked packages (done by every target that needs it)
 .PHONY: setup
@@ -322,7 +322,7 @@ browser:
 ## clean: remove results, caches and the environment, but keep fetched data in resources/
 .PHONY: clean
 clean:
-	rm -rf $(VENV) .venv-floors $(VENV)-tools results .snakemake .coverage* .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
+	rm -rf $(VENV) .venv-lowest .venv-newest $(VENV)-tools results .snakemake .coverage* .pytest_cache .mypy_cache .ruff_cache .hypothesis build *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 ## help: print this list

@@ -207,7 +207,9 @@ def test_certificate_of_a_search_is_verified_separately(
 ):
     source, target, _ = planar if model == "similarity2d" else spatial
     target = target + 0.05 * rng.standard_normal(target.shape)
-    result = register(source, target, n_inliers=0.8, model=model, mode=mode, certificate=True)
+    result = register(
+        source, target, n_inliers=0.8, model=model, mode=mode, certificate=True, prove=True
+    )
     result.write_certificate(tmp_path / "proof.npz")
     report = dcreg.verify(tmp_path / "proof.npz", source, target)
     assert report.accepted, report.reason
