@@ -13,6 +13,7 @@ from .io.g2o import PoseEdge, write_pose_graph
 from .io.moved import write_moved
 from .names import bound_names, mode_names
 from .plot import plot_answer, plot_registration, plot_sweep
+from .problem.attributes import Attributes
 from .problem.errors import InputError
 from .problem.pose_range import PoseRange
 from .problem.problem import Candidates, Problem
@@ -32,6 +33,7 @@ __version__: str
 __all__ = [
     "Alternative",
     "Alternatives",
+    "Attributes",
     "Candidates",
     "Certificate",
     "Certified",
