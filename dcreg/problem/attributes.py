@@ -42,7 +42,7 @@ class Attributes:
 
     source: Any
     target: Any
-    scale: float
+    scale: Any
 
     def costs(self, n: int, m: int, extent: float) -> np.ndarray:
         """Return the (n, m) costs in addition to squared residuals.
