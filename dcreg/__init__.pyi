@@ -8,14 +8,8 @@ from .certificate.verification import Report, verify
 from .diagnostics import advice
 from .driver.options import SolveOptions
 from .driver.warm_up import warm_up
-from .io import (
-    read_attributes,
-    read_candidates,
-    read_matches,
-    read_points,
-    read_pose,
-    read_weights,
-)
+from .io import read_candidates, read_matches, read_points, read_pose, read_weights
+from .io.attributes import read_attributes
 from .io.g2o import PoseEdge, write_pose_graph
 from .io.moved import write_moved
 from .names import bound_names, mode_names

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,9 +11,12 @@ from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import register_problem
 from dcreg.driver.sweep import sweep_problems
 from dcreg.names import AUTO, DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, SCORES, SWEEP_SHARES
-from dcreg.problem import Attributes, Candidates, InputError, PointWeights, PoseRange, Problem
+from dcreg.problem import Candidates, InputError, PointWeights, PoseRange, Problem
 from dcreg.result import Result
 from dcreg.sweep_result import SweepResult
+
+if TYPE_CHECKING:
+    from dcreg.problem.attributes import Attributes
 
 
 def register(

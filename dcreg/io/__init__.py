@@ -4,11 +4,7 @@ Readers need only NumPy, and SciPy for ``.mat``; those of laser scans need furth
 is one more reader in the table of `dcreg.io.points`.
 """
 
-from dcreg.io.attributes import read_attributes
 from dcreg.io.points import READERS, read_candidates, read_matches, read_points, read_weights
 from dcreg.io.pose import read_pose
 
-__all__ = [
-    "READERS", "read_attributes", "read_candidates", "read_matches", "read_points", "read_pose",
-    "read_weights",
-]  # fmt: skip
+__all__ = ["READERS", "read_candidates", "read_matches", "read_points", "read_pose", "read_weights"]

@@ -2,7 +2,6 @@
 
 # ruff: noqa: F401 (names of the package)
 
-from dcreg.problem.attributes import Attributes
 from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.frame import Frame
 from dcreg.problem.geometry import (

@@ -6,16 +6,18 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from dcreg.names import MODEL_DIM
-from dcreg.problem.attributes import Attributes
 from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.geometry import fit_pose
 from dcreg.problem.pose_range import PoseRange
 from dcreg.problem.weights import PairWeights, PointWeights, check_costs
+
+if TYPE_CHECKING:
+    from dcreg.problem.attributes import Attributes
 
 # (n, m) mask, or one sequence of target indices per source point
 Candidates = np.ndarray | Sequence[Sequence[int]]
@@ -226,6 +228,8 @@ class Problem:
         """
         if attributes is None:
             return self
+        from dcreg.problem.attributes import Attributes  # few problems have them
+
         if not isinstance(attributes, Attributes):
             raise InputError(
                 f"attributes: {type(attributes).__name__} is not an Attributes; give one such as "

@@ -12,7 +12,8 @@ from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.names import BOUND_NAMES
-from dcreg.problem import Attributes, InputError, PairWeights, PointWeights, apply_pose
+from dcreg.problem import InputError, PairWeights, PointWeights, apply_pose
+from dcreg.problem.attributes import Attributes
 from dcreg.problem.geometry import fit_pose
 from dcreg.problem.weights import MAX_COSTS
 from tests.oracles import kernels as reference
