@@ -70,7 +70,7 @@ def advice(problem: Problem) -> Iterator[str]:
     """
     n, m = len(problem.source), len(problem.target)
     if max(n, m) > _VERY_MANY_POINTS:
-        yield f"warning: a search with {n} x {m} points is slow. {_REMEDY}."
+        yield f"warning: a search with {n} x {m} points is slow. {_remedy(problem)}."
     for name, points in (("source", problem.source), ("target", problem.target)):
         if FAR * typical_radius(points) < rms_radius(points):
             yield (
@@ -349,7 +349,12 @@ def too_many_points(case: Case) -> str | None:
     is_late = case.result.status is Status.TIME_LIMIT
     if max(n, m) < _MANY_POINTS or not is_late or case.result.downsampled is not None:
         return None
-    return f"{n} x {m} points are too many for this time limit. {_REMEDY}"
+    return f"{n} x {m} points are too many for this time limit. {_remedy(case.problem)}"
+
+
+def _remedy(problem: Problem) -> str:
+    """Return what to do about too many points; a sample uses no candidates, weights or attributes."""
+    return _REMEDY if problem.candidates is problem.weights is None else "Give fewer points"
 
 
 RULES: tuple[Callable[[Case], str | None], ...] = (
