@@ -17,7 +17,9 @@ attributes = dcreg.Attributes(grey, scan_grey, scale=0.05 / 0.02)  # noise of po
 plain = dcreg.register(board, scan, **settings)
 compared = dcreg.register(board, scan, **settings, attributes=attributes)
 for name, result in (("points", plain), ("points and grey values", compared)):
-    print(f"{name}: {result.status}, rotation {result.rotation_deg:.1f} deg, {result.n_nodes} boxes")
+    print(
+        f"{name}: {result.status}, rotation {result.rotation_deg:.1f} deg, {result.n_nodes} boxes"
+    )
 
 assert (compared.assignment[:, 0] == compared.assignment[:, 1]).all()
 print(f"RMS residual {compared.rmse_matched:.3f}, attribute cost {compared.attribute_cost:.3f}")
