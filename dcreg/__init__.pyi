@@ -9,10 +9,12 @@ from .diagnostics import advice
 from .driver.options import SolveOptions
 from .driver.warm_up import warm_up
 from .io import read_candidates, read_matches, read_points, read_pose, read_weights
+from .io.attributes import read_attributes
 from .io.g2o import PoseEdge, write_pose_graph
 from .io.moved import write_moved
 from .names import bound_names, mode_names
 from .plot import plot_answer, plot_registration, plot_sweep
+from .problem.attributes import Attributes
 from .problem.errors import InputError
 from .problem.pose_range import PoseRange
 from .problem.problem import Candidates, Problem
@@ -32,6 +34,7 @@ __version__: str
 __all__ = [
     "Alternative",
     "Alternatives",
+    "Attributes",
     "Candidates",
     "Certificate",
     "Certified",
@@ -64,6 +67,7 @@ __all__ = [
     "plot_answer",
     "plot_registration",
     "plot_sweep",
+    "read_attributes",
     "read_candidates",
     "read_matches",
     "read_points",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from dcreg.names import AUTO, DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, SCORES, SWE
 from dcreg.problem import Candidates, InputError, PointWeights, PoseRange, Problem
 from dcreg.result import Result
 from dcreg.sweep_result import SweepResult
+
+if TYPE_CHECKING:
+    from dcreg.problem.attributes import Attributes
 
 
 def register(
@@ -25,6 +29,7 @@ def register(
     candidates: Candidates | None = None,
     pose_range: PoseRange | None = None,
     weights: PointWeights | None = None,
+    attributes: Attributes | None = None,
     rel_gap: float = DEFAULT_REL_GAP,
     abs_gap: float | None = None,
     tol: float | None = None,
@@ -63,6 +68,9 @@ def register(
         Weights of the points. They replace the squared residual in the objective, the bounds and the
         covariance by the cost of `PointWeights`. For ``similarity2d``, and for ``rigid3d`` in mode
         ``full``, with up to 1,200,000 point pairs.
+    attributes : Attributes, optional
+        Colours, intensities or other attributes of the points. The objective and the bounds then include
+        their differences, see `Attributes`. The limits are those of `weights`.
     rel_gap : float
         The relative tolerance, as a share of the upper bound, below 1. The search stops when
         ``upper_bound - lower_bound <= max(rel_gap * upper_bound, abs_gap)``.
@@ -112,15 +120,16 @@ def register(
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb, max_rms)
     rest = model, scale_range, candidates, pose_range
     if not isinstance(n_inliers, str):
-        problem = Problem(source, target, n_inliers, *rest, weights)
+        problem = Problem(source, target, n_inliers, *rest, weights).with_attributes(attributes)
         return register_problem(problem, limits, SolveOptions.of(options))
     if n_inliers != AUTO:
         raise InputError(
             f"n_inliers: {n_inliers!r} is not a number; give a count, a fraction or {AUTO!r}"
         )
-    if weights is not None:
+    given = {"weights": weights, "attributes": attributes}
+    for name in (name for name, each in given.items() if each is not None):
         raise InputError(
-            "n_inliers: weights need a number of pairs; run once without weights, and give the number "
+            f"n_inliers: {name} need a number of pairs; run once without {name}, and give the number "
             "that the result states"
         )
     from dcreg.driver.auto import register_auto  # only if needed

@@ -70,7 +70,7 @@ def advice(problem: Problem) -> Iterator[str]:
     """
     n, m = len(problem.source), len(problem.target)
     if max(n, m) > _VERY_MANY_POINTS:
-        yield f"warning: a search with {n} x {m} points is slow. {_REMEDY}."
+        yield f"warning: a search with {n} x {m} points is slow. {_remedy(problem)}."
     for name, points in (("source", problem.source), ("target", problem.target)):
         if FAR * typical_radius(points) < rms_radius(points):
             yield (
@@ -211,11 +211,12 @@ def distant_pairs(case: Case) -> str | None:
     result = case.result
     if result.is_greedy or _is_rounding(result.objective, case):
         return None
-    lowest = result.n_inliers * case.lowest_rmse**2
-    if result.objective <= _VAGUE * lowest:
+    # the squared residuals, without the costs of attributes
+    found, lowest = (result.n_inliers * rmse**2 for rmse in (result.rmse_matched, case.lowest_rmse))
+    if found <= _VAGUE * lowest:
         return None
     return (
-        f"objective={result.objective:.3g} is far above {lowest:.3g}, a lower bound at this pose: fewer "
+        f"objective={found:.3g} is far above {lowest:.3g}, a lower bound at this pose: fewer "
         f"than {result.n_inliers} pairs are near, so some connect distant points, and better pairs may "
         "exist. Try a smaller n_inliers (`dcreg sweep` tries several)"
     )
@@ -280,7 +281,7 @@ def few_pairs(case: Case) -> str | None:
     is_few = problem.dim <= k <= _FEW_PAIRS and 2 * k < min(
         len(problem.source), len(problem.target)
     )
-    if not is_few:
+    if not is_few or problem.weights is not None:  # the chance is that of squared residuals
         return None
     from dcreg.problem.chance import log_chance_fits  # few results need it
 
@@ -348,7 +349,12 @@ def too_many_points(case: Case) -> str | None:
     is_late = case.result.status is Status.TIME_LIMIT
     if max(n, m) < _MANY_POINTS or not is_late or case.result.downsampled is not None:
         return None
-    return f"{n} x {m} points are too many for this time limit. {_REMEDY}"
+    return f"{n} x {m} points are too many for this time limit. {_remedy(case.problem)}"
+
+
+def _remedy(problem: Problem) -> str:
+    """Return what to do about too many points; a sample uses no candidates, weights or attributes."""
+    return _REMEDY if problem.candidates is problem.weights is None else "Give fewer points"
 
 
 RULES: tuple[Callable[[Case], str | None], ...] = (
@@ -367,12 +373,14 @@ RULES: tuple[Callable[[Case], str | None], ...] = (
 )
 
 # They compare residuals, which the objective of weighted points does not give.
-OF_RESIDUALS = few_pairs, loose_pairs, ambiguous
+OF_RESIDUALS = loose_pairs, ambiguous
 
 
 def warnings_for(case: Case) -> list[str]:
     """Return one line for each rule that applies; none if it is proven that no pose is good enough."""
     if case.result.status is Status.REFUTED:
         return []
-    rules = [each for each in RULES if case.problem.weights is None or each not in OF_RESIDUALS]
+    weights = case.problem.weights
+    are_weighted = weights is not None and weights.are_weighted
+    rules = [each for each in RULES if not (are_weighted and each in OF_RESIDUALS)]
     return [line for rule in rules if (line := rule(case)) is not None]

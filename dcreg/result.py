@@ -64,7 +64,9 @@ class Result(Document):
         It contains ``"of the sample"`` if they hold for the sample only.
     objective : float
         Sum of squared residuals of the `n_inliers` matched pairs at `T_target_source`; with weights of
-        points, the sum of the costs of `PointWeights`.
+        points, the sum of the costs of `PointWeights`; with attributes, of `Attributes`.
+    attribute_cost : float, optional
+        The part of `objective` that `Attributes` cause, if they are given.
     objective_certified : float
         The same sum at `T_certified`, before the polish.
     n_nodes, n_assignments : int
@@ -138,6 +140,7 @@ class Result(Document):
     open_directions: list[OpenDirection] | None = None
     memory_estimate: MemoryEstimate | None = None
     time_earlier_s: float = 0.0
+    attribute_cost: float | None = None
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -210,16 +213,20 @@ class Result(Document):
 
     @property
     def rmse_matched(self) -> float:
-        """Root mean square residual of the matched pairs, in units of the target; NaN without pairs."""
-        return float(np.sqrt(self.objective / self.n_inliers)) if self.n_inliers else np.nan
+        """Root mean square residual of the matched pairs, in units of the target; NaN without pairs.
+
+        Attributes do not count: it is the square root of ``(objective - attribute_cost) / n_inliers``.
+        """
+        residuals = max(0.0, self.objective - (self.attribute_cost or 0.0))
+        return float(np.sqrt(residuals / self.n_inliers)) if self.n_inliers else np.nan
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; an infinite bound becomes None. The manual lists all keys."""
         names = (
             "status", "reason", "T_target_source", "T_certified", "scale", "model", "n_inliers",
             "chosen_number", "bound", "mode", "lower_bound", "upper_bound", "gap", "gap_tol",
-            "bound_ratio", "is_exact",
-            "objective", "objective_certified", "n_nodes", "n_assignments", "time_setup_s",
+            "bound_ratio", "is_exact", "objective", "objective_certified", "attribute_cost",
+            "n_nodes", "n_assignments", "time_setup_s",
             "time_solve_s", "time_earlier_s", "certificate_scope", "rmse_matched", "max_rms",
             "assignment", "downsampled", "score", "runner_up", "covariance", "open_directions",
             "memory_estimate", "warnings",
@@ -286,6 +293,8 @@ class Result(Document):
             yield f"{stage.name} stage", stage.confinement()
         before = self.objective_certified
         yield "objective", f"{self.objective:.6g} (before the polish {before:.6g})"
+        if self.attribute_cost is not None:
+            yield "attribute cost", f"{self.attribute_cost:.6g} of the objective"
         assignments = text.count(self.n_assignments, "assignment")
         yield "work", f"{text.count(self.n_nodes, 'node')}, {assignments}"
         preparation = f"{self.time_setup_s:.2f} s for the preparation"

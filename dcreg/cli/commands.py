@@ -15,7 +15,7 @@ from dcreg.cli.app import app, command, run_search
 from dcreg.cli.files import BatchFiles, Outputs, SearchFiles
 from dcreg.cli.numbers import parse_count_or_auto, parse_counts
 from dcreg.cli.options import CloudFiles, Goal, MatchSearch, Poses, Quiet, Search
-from dcreg.cli.weights import WeightFiles
+from dcreg.cli.weights import CostFiles
 from dcreg.names import AUTO, FIGURE_PACKAGES, MAX_RMS_MET, SWEEP_TEXT
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def register(
     goal: Goal,
     search: Search,
     poses: Poses,
-    weights: WeightFiles,
+    costs: CostFiles,
     outputs: Outputs,
     files: SearchFiles,
     quiet: Quiet = False,
@@ -80,12 +80,12 @@ def register(
     6 refuted (it is proven that no pose meets --max-rms).
     """
     paths = {**outputs.paths, **files.paths}
-    weight_paths = weights.source_weights_path, weights.target_weights_path
-    outputs.check(paths, *clouds.names.values(), search.candidates_path, poses.init, *weight_paths)
+    read = search.candidates_path, poses.init, *costs.paths
+    outputs.check(paths, *clouds.names.values(), *read)
     count = parse_count_or_auto(goal.n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
-    keywords["weights"] = weights.settings(clouds)
+    keywords |= costs.settings(clouds)
     options["certificate"] = files.certificate_path is not None
     options["checkpoint"] = files.checkpoint_path
     keywords["pose_range"], options["init"] = poses.settings()

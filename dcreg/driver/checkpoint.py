@@ -73,6 +73,7 @@ def _identity(
     """Return what a search depends on: the version, the problem and the options that change it."""
     given: dict[str, Any] = {name: _digest(getattr(problem, name)) for name in _ARRAYS}
     weights = problem.weights
+    given["attributes"] = weights and _digest(weights.attributes)
     given["weights"] = weights and [_digest(weights.factors), _digest(weights.extra)]
     names = "n_inliers", "model", "scale_range", "pose_range"
     given |= {name: getattr(problem, name) for name in names}
@@ -283,7 +284,7 @@ def _read(path: Path, identity: dict[str, Any]) -> dict[str, Any]:
             continue
         if name == "version":
             problem = f"was written by dcreg {old}, but this is dcreg {new}; use dcreg {old}"
-        elif name in (*_ARRAYS, "weights"):
+        elif name in (*_ARRAYS, "attributes", "weights"):
             problem = f"belongs to another problem ({name} differs); give the same files"
         else:
             problem = f"belongs to a search with {name} {old}, not {new}; give the same options"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dcreg.assignment.objective import AT_ONCE_PAIRS
 from dcreg.driver.modes import MAX_PAIRS, NORM_PAIRS, is_matrix_free
 from dcreg.families.mode import Mode, all_modes
 from dcreg.families.registry import bound_parts
@@ -63,19 +62,15 @@ def check_mode(
 
 
 def _check_weights(mode: Mode, problem: Problem, others: dict[str, bool]) -> None:
-    """Refuse weights with a mode, a range, clouds or other settings that would ignore them."""
+    """Refuse weights or attributes with a mode, a range or other settings that would ignore them."""
+    assert problem.weights is not None
+    own = problem.weights.name
     others = {"pose_range": problem.pose_range is not None, **others}
     for name in filter(others.get, others):
-        raise InputError(f"{name}: cannot be combined with weights; omit {name} or weights")
-    n, m = problem.weights.factors.shape if problem.weights else (0, 0)
-    if n * m > AT_ONCE_PAIRS:
-        raise InputError(
-            f"weights: {n} x {m} pairs exceed {AT_ONCE_PAIRS:,}; downsample both clouds first, or omit "
-            "weights"
-        )
+        raise InputError(f"{name}: cannot be combined with {own}; omit {name} or {own}")
     if not mode.takes_weights:
         raise InputError(
-            f"weights: not supported by {problem.model} in mode {mode.name!r}; use similarity2d, or "
+            f"{own}: not supported by {problem.model} in mode {mode.name!r}; use similarity2d, or "
             "rigid3d in mode 'full' without bound"
         )
 

@@ -94,7 +94,7 @@ def _check(count: int, problem: Problem, certificate: bool) -> None:
         )
     given = {
         "candidates": problem.candidates is not None, "certificate": certificate,
-        "weights": problem.weights is not None,
+        problem.weights.name if problem.weights else "": problem.weights is not None,
     }  # fmt: skip
     for name in filter(given.get, given):
         raise InputError(f"downsample: {name} would not be used with a sample; omit one of the two")

@@ -22,6 +22,7 @@ PENALTY_BYTES = 9  # per pair of points, if there are candidates
 WEIGHT_BYTES = (
     48  # per pair of points: factors and constants, also in the units of the search, and copies
 )
+ATTRIBUTE_BYTES = 8  # per pair of points, in addition: the costs of attributes
 SPACE_BYTES, MAX_SPACES = 100, 12  # per point: the copies of a space for another number of pairs
 POINT_BYTES = 250  # per point: copies, search trees and neighbours
 STORED_2D_MB, STORED_3D_MB = 400.0, 150.0  # what bounds store at most about vertices of boxes
@@ -49,7 +50,9 @@ def estimated_memory(
     matching = 0 if is_free and is_large(n, m) else 8 * (problem.dim + 1) * n * m
     needed = max(search, matching) + POINT_BYTES * (n + m)
     needed += 0 if is_free else PENALTY_BYTES * pairs
-    needed += 0 if problem.weights is None else WEIGHT_BYTES * pairs
+    if problem.weights is not None:
+        has_attributes = problem.weights.attributes is not None
+        needed += (WEIGHT_BYTES + ATTRIBUTE_BYTES * has_attributes) * pairs
     n_more = min(n_numbers, MAX_SPACES) - 1
     needed += n_more * SPACE_BYTES * (len(searched.source) + len(searched.target))
     dim, duals = (3, 0) if mode.in_norm_space else (4, 0)

@@ -204,10 +204,11 @@ class Attempt:
     def run(self, budget: Budget, start: Start | None = None) -> Outcome:
         """Minimise the objective over the space."""
         mode, problem, make_cover = self.mode, self.problem, None
-        # Only with the mode's own bound, so that another one is used alone. A cover contains the
-        # stationary poses of the model without weights, which need not be those of a region.
+        # Only with the mode's own bound, so that another one is used alone. A cover contains the poses
+        # that are stationary without weights, which need not be those of a region. Attributes change no
+        # stationary pose, and costs only increase.
         is_own = problem.bound == mode.own_bound and problem.region is None
-        is_own = is_own and problem.weights is None
+        is_own = is_own and not (problem.weights is not None and problem.weights.are_weighted)
         if start is None and problem.init is not None and budget.resumed is None:
             start = self.start(budget)
         if mode.make_cover is not None and is_own:

@@ -248,6 +248,10 @@ class Finish:
         is_sample = result.downsampled is not None
         scope = _scope(problem, solution.scope, is_sample=is_sample)
         result = replace(result, certificate_scope=scope)
+        if problem.weights is not None:
+            result = replace(
+                result, attribute_cost=problem.weights.attribute_cost(result.assignment)
+            )
         if problem.pose_range is None:  # both are those of free poses
             low, high = problem.scale_range
             has_scale = problem.has_scale and low < high
@@ -371,7 +375,7 @@ class Finish:
 def _scope(problem: Problem, what: str, *, is_sample: bool) -> str:
     """Return what the bounds refer to."""
     where = OF_SAMPLE * is_sample + ", within the range of poses" * (problem.pose_range is not None)
-    return what + where + ", weighted points" * (problem.weights is not None)
+    return what + where + (problem.weights.scope if problem.weights else "")
 
 
 def _exact_value(problem: Problem) -> float:

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 
 from dcreg.assignment.descent import alternate
+from dcreg.assignment.objective import k_assignment
 from dcreg.families.kernels import Clouds
 from dcreg.families.pairs import infeasibility_penalty, weighted_clouds
 from dcreg.jit import NEVER
@@ -53,6 +54,8 @@ class Space(abc.ABC):
         Relative decrease of the objective below which a local search ends.
     ends : sequence of (theta, value)
         Where the local searches of the last `start` ended.
+    floor : float
+        The minimum over all matchings of what pairs cost at every pose. 0 without weights and attributes.
     is_confirmed : bool
         Whether independent starts of the last `start` agreed on the best parameter.
     """
@@ -63,6 +66,7 @@ class Space(abc.ABC):
     min_gain: float
     ends: Sequence[tuple[np.ndarray, float]] = ()
     is_confirmed = False
+    floor = 0.0
 
     def __init__(
         self,
@@ -90,7 +94,8 @@ class Space(abc.ABC):
 
     def weighted(self, weights: PairWeights) -> Self:
         """Set the weights of pairs, and return the space."""
-        self.clouds = weighted_clouds(self.clouds, weights)
+        self.clouds = clouds = weighted_clouds(self.clouds, weights)
+        self.floor = k_assignment(clouds.weights * clouds.infeasibility_penalty, clouds.k)[0]
         return self
 
     def weights_of(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray | None:
@@ -314,6 +319,8 @@ class SpaceBound(abc.ABC, Generic[S]):
         """Bound B boxes; see `dcreg.search.Bound`."""
         touched = np.flatnonzero(self.space.touches(boxes.lower, boxes.upper))
         found = self._evaluate(boxes[touched], cutoff)
+        if self.space.floor > 0.0:  # the bounds of large boxes can be lower
+            np.maximum(found.lower_bounds, self.space.floor, out=found.lower_bounds)
         found.values[~self.space.admissible(found.thetas)] = np.inf
         if len(touched) == len(boxes):
             return found

@@ -66,7 +66,7 @@ def read_points(
     path, key = split_key(path, key)
     # NaN and infinity are found later, also those that a conversion of numbers makes
     with naming(path), np.errstate(all="ignore"):
-        return _checked(_loaded(path, key, READERS), keep_invalid)
+        return _checked(loaded_file(path, key, READERS), keep_invalid)
 
 
 def read_weights(path: str | Path) -> np.ndarray:
@@ -88,13 +88,13 @@ def read_weights(path: str | Path) -> np.ndarray:
     """
     path = Path(path)
     with naming(path):
-        weights = _loaded(path, None, WEIGHT_READERS).array
+        weights = loaded_file(path, None, WEIGHT_READERS).array
         if weights.ndim != 1 or not weights.size:
             fail(f"the array has shape {weights.shape}", "give one number per point")
         return np.asarray(weights, dtype=np.float64)
 
 
-def _loaded(path: Path, key: str | None, readers: dict[str, Reader]) -> Points:
+def loaded_file(path: Path, key: str | None, readers: dict[str, Reader]) -> Points:
     """Return what a file holds, by the reader of its extension."""
     suffix = path.suffix.lower()
     if path.is_dir():

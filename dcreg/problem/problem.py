@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,7 +14,10 @@ from dcreg.names import MODEL_DIM
 from dcreg.problem.errors import InputError, suggestion
 from dcreg.problem.geometry import fit_pose
 from dcreg.problem.pose_range import PoseRange
-from dcreg.problem.weights import PairWeights, PointWeights
+from dcreg.problem.weights import PairWeights, PointWeights, check_costs
+
+if TYPE_CHECKING:
+    from dcreg.problem.attributes import Attributes
 
 # (n, m) mask, or one sequence of target indices per source point
 Candidates = np.ndarray | Sequence[Sequence[int]]
@@ -117,6 +120,7 @@ class Problem:
         The admissible poses; None: all of the model.
     weights : PointWeights, optional
         Weights of the points; kept as the costs of weighted pairs, or as None if all are equal.
+        `with_attributes` adds the costs of attributes.
 
     Raises
     ------
@@ -213,6 +217,32 @@ class Problem:
             check_candidates(self.candidates, len(self.source), len(self.target), count)
         other = copy(self)
         object.__setattr__(other, "n_inliers", count)
+        return other
+
+    def with_attributes(self, attributes: Attributes | None) -> Problem:
+        """Return the problem whose costs of pairs include those of attributes.
+
+        Raises
+        ------
+        InputError
+        """
+        if attributes is None:
+            return self
+        from dcreg.problem.attributes import Attributes  # few problems have them
+
+        if not isinstance(attributes, Attributes):
+            raise InputError(
+                f"attributes: {type(attributes).__name__} is not an Attributes; give one such as "
+                "dcreg.Attributes(source_colours, target_colours, scale=0.1)"
+            )
+        n, m = len(self.source), len(self.target)
+        check_costs("attributes", n, m)
+        costs = attributes.costs(n, m, float(np.ptp(self.target, axis=0).max()))
+        if not costs.any():
+            return self
+        weights = self.weights or PairWeights(np.ones((n, m)), np.zeros((n, m)))
+        other = copy(self)
+        object.__setattr__(other, "weights", weights.with_attributes(costs))
         return other
 
 

@@ -1,8 +1,8 @@
-"""Weights of points, and the costs of pairs that follow from them."""
+"""Weights of points, and the costs of pairs that follow from weights and attributes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,11 +10,12 @@ import numpy as np
 from dcreg.problem.errors import InputError
 
 LEAST = 1e-9  # least weight, relative to the largest one
+MAX_COSTS = 1_200_000  # pairs whose costs are kept; a search matches so many at once
 
 
 @dataclass(frozen=True)
 class PairWeights:
-    """Costs of weighted pairs: a squared residual r^2 becomes ``factors * r^2 + extra``.
+    """Costs of pairs: a squared residual r^2 becomes ``factors * r^2 + extra``.
 
     Attributes
     ----------
@@ -22,10 +23,29 @@ class PairWeights:
         Above 0; the maximum is 1.
     extra : (n, m) array
         Not negative, in squared units of length.
+    attributes : (n, m) array, optional
+        The part of `extra` that attributes cause.
     """
 
     factors: np.ndarray
     extra: np.ndarray
+    attributes: np.ndarray | None = None
+
+    @property
+    def name(self) -> str:
+        """The setting that causes the costs, for messages."""
+        return "weights" if self.attributes is None else "attributes"
+
+    @property
+    def are_weighted(self) -> bool:
+        """Whether the factors differ from 1."""
+        return bool(self.factors.min() < 1.0)
+
+    @property
+    def scope(self) -> str:
+        """What the costs add to the scope of the bounds."""
+        weighted = ", weighted points" if self.are_weighted else ""
+        return weighted if self.attributes is None else weighted + ", with attributes"
 
     def costs(self, squares: np.ndarray) -> np.ndarray:
         """Return the costs of all pairs with these (n, m) squared residuals."""
@@ -38,8 +58,18 @@ class PairWeights:
         return weights
 
     def scaled(self, area: float) -> PairWeights:
-        """Return the same weights in another unit of area."""
-        return replace(self, extra=self.extra * area)
+        """Return the same costs in another unit of area, for a search."""
+        return PairWeights(self.factors, self.extra * area)
+
+    def attribute_cost(self, pairs: np.ndarray) -> float | None:
+        """Return the part of the costs of (k, 2) pairs that attributes cause; None without them."""
+        costs = self.attributes
+        return None if costs is None else float(costs[pairs[:, 0], pairs[:, 1]].sum())
+
+    def with_attributes(self, costs: np.ndarray) -> PairWeights:
+        """Return the costs of the same pairs with (n, m) costs of their attributes."""
+        weighted = self.factors * costs
+        return PairWeights(self.factors, self.extra + weighted, weighted)
 
 
 @dataclass(frozen=True)
@@ -93,6 +123,7 @@ class PointWeights:
             raise InputError("weights: distance is given without weights; give source or target")
         if all(is_flat):
             return None
+        check_costs("weights", n, m)
         # the matched weights add up to the same sum in every matching
         is_constant = (is_flat[1] and n_inliers == n) or (is_flat[0] and n_inliers == m)
         if distance is None and not is_constant:
@@ -116,6 +147,15 @@ class PointWeights:
                 "target, such as 0.1"
             )
         return float(given)
+
+
+def check_costs(name: str, n: int, m: int) -> None:
+    """Refuse more pairs than those whose costs are kept, before they take memory."""
+    if n * m > MAX_COSTS:
+        raise InputError(
+            f"{name}: {n} x {m} pairs exceed {MAX_COSTS:,}; downsample both clouds first, or omit "
+            f"{name}"
+        )
 
 
 def _checked(name: str, given: Any, count: int) -> np.ndarray:

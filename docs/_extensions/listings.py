@@ -68,7 +68,7 @@ def questions() -> str:
         "`alternatives`, `max_angle`, `max_translation`": lambda mode: bool(mode.in_region),
         "`axis`": lambda mode: bool(mode.in_region) and mode.model != "similarity2d",
         "certificate file": lambda mode: bool(mode.certifies),
-        "`weights` (only `register`)": lambda mode: mode.takes_weights,
+        "`weights`, `attributes` (only `register`)": lambda mode: mode.takes_weights,
         "covariance, `downsample`, `batch`": lambda mode: True,
     }
     modes = all_modes()

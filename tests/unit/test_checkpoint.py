@@ -215,6 +215,12 @@ def test_a_run_that_ends_within_the_initial_poses_writes_no_file(tmp_path):
     assert not (tmp_path / "state.npz").exists()
 
 
+def test_other_attributes_are_refused(stopped):
+    attributes = dcreg.Attributes(np.arange(9.0), np.arange(9.0), scale=0.1)
+    with pytest.raises(dcreg.InputError, match=r"another problem \(attributes differs\)"):
+        planar(checkpoint=stopped, attributes=attributes)
+
+
 def test_other_weights_are_refused(stopped):
     weights = dcreg.PointWeights(source=[0.5, *[1.0] * 8], distance=1.0)
     with pytest.raises(dcreg.InputError, match=r"another problem \(weights differs\)"):

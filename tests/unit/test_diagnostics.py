@@ -279,6 +279,12 @@ def test_too_many_points():
     assert diagnostics.too_many_points(case(result, source, target)) is None
     stopped = case(result, source, target, status=Status.STOPPED)  # not by the clock
     assert diagnostics.too_many_points(stopped) is None
+    grey = dcreg.Attributes(np.arange(1200.0), np.arange(900.0), scale=1e-3)
+    problem = dcreg.Problem(source, target[:900], 20, "similarity2d").with_attributes(grey)
+    line = diagnostics.too_many_points(replace(late, problem=problem))
+    assert line.endswith(
+        "are too many for this time limit. Give fewer points"
+    )  # a sample is refused
 
 
 def cluttered(n_true=25, n_clutter=55, seed=1):

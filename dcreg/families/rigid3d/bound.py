@@ -169,10 +169,6 @@ class RigidBound(SpaceBound[Rigid3D]):
             drift=k * largest_subset_mean_3d(points.T, k, space.lightest),
             spread=float(np.linalg.eigvalsh(source @ source.T)[-1]),
         )
-        self._floor = 0.0
-        if space.clouds.weights.size:  # light pairs cost something at every pose
-            extra = space.clouds.weights * space.clouds.infeasibility_penalty
-            self._floor = float(np.sort(extra.min(axis=1))[:k].sum())
         few = space.n_pairs <= FEW_PAIRS
         self._vertices = None if few else VertexValues(space.clouds, self.map_slices)
         self.stored = self._vertices
@@ -187,7 +183,7 @@ class RigidBound(SpaceBound[Rigid3D]):
         enough = np.inf if cutoff is None else cutoff
         for part in (slice(at, at + most) for at in range(0, count, most)):
             found = self._evaluate_part(boxes[part], enough, duals[part])
-            result.lower_bounds[part] = np.maximum(found.bounds, self._floor)
+            result.lower_bounds[part] = np.maximum(found.bounds, 0.0)
             result.values[part] = found.values
         return result
 
