@@ -253,13 +253,20 @@ def _shape(points: np.ndarray, extent: float) -> str | None:
 
 def sliding(case: Case) -> str | None:
     """The clouds can slide on each other, so other pairs fit as well elsewhere."""
-    n = len(case.result.open_directions or [])
-    if n == 0 or case.undetermined is not None:
+    if case.undetermined is not None:
+        return None
+    return slide_warning(case.result, "restrict the poses (pose_range)")
+
+
+def slide_warning(result: Result, remedy: str) -> str | None:
+    """Return the warning that clouds can slide on each other, with a remedy besides other clouds."""
+    n = len(result.open_directions or [])
+    if n == 0:
         return None
     return (
         f"the clouds can slide along {text.count(n, 'direction')}, as planes do, and the pose is "
-        "uncertain along them (`open_directions` of the result). Use clouds with more shape, or restrict "
-        "the poses (pose_range)"
+        "uncertain along them (`open_directions` of the result). Use clouds with more shape, or "
+        f"{remedy}"
     )
 
 

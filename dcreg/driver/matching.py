@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dcreg.diagnostics import slide_warning
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import PATIENCE_S
 from dcreg.driver.uncertainty import with_uncertainty
@@ -22,8 +23,9 @@ from dcreg.families.matches.warnings import (
     warnings_of,
 )
 from dcreg.names import SCORES
-from dcreg.problem import InputError, suggestion
+from dcreg.problem import InputError, apply_pose, suggestion
 from dcreg.problem.geometry import EXACT
+from dcreg.problem.trees import tree_of
 from dcreg.result import Result, Score, Stage, Trace
 from dcreg.search import Budget
 from dcreg.search.space_search import UNSURE
@@ -130,4 +132,19 @@ def _solved(
         trace=Trace(events), score=scores,
         warnings=warnings,
     )  # fmt: skip
-    return with_uncertainty(result, problem.source, problem.target)
+    return _with_uncertainty(result, problem)
+
+
+def _with_uncertainty(result: Result, problem: MatchProblem) -> Result:
+    """Return the result with its covariance, and with the directions that the overlap leaves open.
+
+    All source points near the target are moved. The selected matches are often few and in one part of
+    the overlap, which other parts keep from sliding.
+    """
+    moved = apply_pose(result.T_target_source, problem.source)
+    overlap = moved[tree_of(problem.target).nearest(moved)[0] <= problem.inlier_threshold]
+    result = with_uncertainty(result, problem.source, problem.target, surface=overlap)
+    line = slide_warning(result, "look at the clouds at this pose")
+    if line is None or result.covariance is None:  # other matches are needed, of which a line warns
+        return result
+    return replace(result, warnings=[*result.warnings, line])

@@ -17,6 +17,7 @@ def with_uncertainty(
     weights: np.ndarray | None = None,
     *,
     has_scale: bool = False,
+    surface: np.ndarray | None = None,
 ) -> Result:
     """Return the result with the covariance of its pose, and the directions that the clouds leave open.
 
@@ -28,9 +29,12 @@ def with_uncertainty(
         Of the pairs.
     has_scale : bool
         Whether the scale was free.
+    surface : (k, d) array, optional
+        Source points at the pose that are moved to find open directions; default: the matched ones.
     """
     pose, (rows, columns) = result.T_target_source, result.assignment.T
-    matched, moved = source[rows], apply_pose(result.T_target_source, source[rows])
+    matched = source[rows]
+    moved = apply_pose(pose, matched) if surface is None else surface
     return replace(
         result,
         covariance=pose_covariance(pose, matched, target[columns], weights, has_scale=has_scale),

@@ -36,7 +36,7 @@ Nearest = Callable[[np.ndarray, int], tuple[np.ndarray, np.ndarray]]
 class OpenDirection:
     """A motion of the source along which the clouds slide on each other.
 
-    The motion is given in the coordinates of the target, at the centroid of the matched points: per unit
+    The motion is given in the coordinates of the target, at the centroid of the moved points: per unit
     of RMS displacement, the points turn about the axis `rotation` by its length in radians and move by
     `translation`.
 

@@ -18,7 +18,8 @@ from rich.progress import track
 
 import dcreg
 from tests.questions.checks import CHECKS, Checked
-from tests.questions.problems import small
+from tests.questions.draws import noisy
+from tests.questions.problems import VARIANTS, small
 
 
 def main(
@@ -42,11 +43,16 @@ def main(
             answers.append(answer)
             for fault in faults:
                 n_wrong += 1
-                print(f"WRONG {name} {small(number, with_range=name == 'range')}: {fault}")
+                print(f"WRONG {name} {_described(name, number)}: {fault}")
         spent_s = time.perf_counter() - began
         print(f"{name}: {len(answers):,} problems in {spent_s:.0f} s: {dict(Counter(answers))}")
     print(f"{n_wrong} wrong statements")
     raise typer.Exit(int(n_wrong > 0))
+
+
+def _described(name: str, number: int) -> str:
+    """Return the problem of a question in words."""
+    return str(noisy(number) if name == "covariance" else small(number, name * (name in VARIANTS)))
 
 
 def _in_processes(

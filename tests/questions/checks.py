@@ -9,8 +9,12 @@ import numpy as np
 import dcreg
 from dcreg.problem import apply_pose, largest_matching, nearest_rotation, scale_of
 from dcreg.status import Status
-from tests.questions.problems import Small, small
+from tests.questions.draws import noisy
+from tests.questions.problems import TIME_LIMIT, Small, small
 
+# Largest relative error of a variance. That of 2,000 draws is below 0.12 in each direction; 0.2 is four
+# standard deviations more.
+SPREAD = 0.2
 # (answer in a word, faults)
 Checked = tuple[str, list[str]]
 
@@ -36,7 +40,7 @@ def check_max_rms(number: int) -> Checked:
 
 def check_certify(number: int) -> Checked:
     """Is this pose optimal, of all or in a range? It is the fit to some matching, or a rough one."""
-    one = small(number, with_range=number % 4 == 1)
+    one = small(number, "range" if number % 4 == 1 else "")
     p, eps = one.problem, one.rounding()
     fits = sorted(one.fits(), key=lambda fit: fit[0])
     rng = np.random.default_rng([8, number])
@@ -107,7 +111,7 @@ def _beyond(one: Small, distance: float, listed: list[np.ndarray], lower_bound: 
 
 def check_max_inliers(number: int) -> Checked:
     """How many pairs fit at most? No fit to a matching may bring more within the distance."""
-    one = small(number, with_range=number % 4 == 1)
+    one = small(number, "range" if number % 4 == 1 else "")
     p = one.problem
     distance = (0.02, 0.1, 0.3, 1.0)[number // 3 % 4]
     keywords = {key: value for key, value in one.keywords.items() if key != "n_inliers"}
@@ -139,7 +143,7 @@ def _within(source: np.ndarray, target: np.ndarray, T: np.ndarray, distance: flo
 
 def check_range(number: int) -> Checked:
     """The best pose of a range: bounds on both sides of the optimum of all matchings."""
-    one = small(number, with_range=True)
+    one = small(number, "range")
     p = one.problem
     found = dcreg.register(p.source, p.target, **one.keywords)
     return found.status.value, _in_range(one, found)
@@ -147,7 +151,7 @@ def check_range(number: int) -> Checked:
 
 def check_sweep(number: int) -> Checked:
     """The best poses of a range for several numbers of pairs."""
-    one = small(number, with_range=True)
+    one = small(number, "range")
     p, keywords = one.problem, one.keywords
     most = keywords.pop("n_inliers")
     counts = range(max(1, most - 2), most + 1)
@@ -162,11 +166,17 @@ def check_sweep(number: int) -> Checked:
 
 def _in_range(one: Small, found: dcreg.Result) -> list[str]:
     """Compare a pose of a range and its bounds with the optimum of all matchings."""
-    p, eps = one.problem, one.rounding()
-    assert p.pose_range is not None
-    optimum, faults = min(value for value, _ in one.fits()), []
-    if not p.pose_range.contains(found.T_target_source):
+    assert one.problem.pose_range is not None
+    faults = _bounds(one, found)
+    if not one.problem.pose_range.contains(found.T_target_source):
         faults.append(f"the pose {found.T_target_source.tolist()} is outside the range")
+    return faults
+
+
+def _bounds(one: Small, found: dcreg.Result) -> list[str]:
+    """Compare the bounds with the optimum of all matchings."""
+    eps, faults = one.rounding(), []
+    optimum = min(value for value, _ in one.fits())
     if found.lower_bound > optimum + eps:
         faults.append(f"lower bound {found.lower_bound} above the optimum {optimum}")
     if found.upper_bound < optimum - eps:
@@ -176,6 +186,68 @@ def _in_range(one: Small, found: dcreg.Result) -> list[str]:
     return faults
 
 
+def check_similarity3d(number: int) -> Checked:
+    """The best similarity in 3D: bounds on both sides of the optimum of all matchings."""
+    return _check_register(small(number, "similarity3d"))
+
+
+def check_weights(number: int) -> Checked:
+    """The best pose of weighted points, by the weighted costs of all matchings."""
+    return _check_register(small(number, "weights"))
+
+
+def check_candidates(number: int) -> Checked:
+    """The best pose over feasible pairs, by all feasible matchings."""
+    return _check_register(small(number, "candidates"))
+
+
+def _check_register(one: Small) -> Checked:
+    """Compare a result with all matchings: its bounds, and the objective of its pairs."""
+    p = one.problem
+    found = dcreg.register(p.source, p.target, **one.keywords)
+    rows, columns = found.assignment.T
+    faults = _bounds(one, found)
+    if not len(rows) == len(set(rows)) == len(set(columns)) == p.n_inliers:
+        faults.append("the pairs are not one to one, or too few")
+    if p.candidates is not None and not p.candidates[rows, columns].all():
+        faults.append("a pair is not feasible")
+    cost = one.cost(found.T_target_source, rows, columns)
+    if abs(found.objective - cost) > one.rounding():
+        faults.append(f"objective {found.objective}, but the pairs cost {cost}")
+    low, high = p.scale_range
+    if not low * (1 - 1e-9) <= scale_of(found.T_target_source) <= high * (1 + 1e-9):
+        faults.append("the scale of the pose is outside the range")
+    return found.status.value, faults
+
+
+def check_covariance(number: int) -> Checked:
+    """Is the covariance that of poses fitted to other draws of the same small noise?
+
+    The variance of the residuals is an estimate by few pairs. It is replaced by the true one.
+    """
+    one = noisy(number)
+    p, sigma = one.problem, one.sigma
+    found = dcreg.register(
+        p.source, p.target, n_inliers=p.n_inliers, model=p.model, scale_range=p.scale_range,
+        time_limit=TIME_LIMIT,
+    )  # fmt: skip
+    if sorted(map(tuple, found.assignment.tolist())) != one.pairs:
+        return "other pairs", []
+    if found.covariance is None:
+        return "none", ["no covariance, although the pairs determine the pose"]
+    free = len(found.covariance) - (p.dim == 2 and p.scale_range == (1.0, 1.0))
+    spare = p.source[: p.n_inliers].size - free
+    stated = found.covariance * sigma**2 / (found.objective / spare)
+    faults = []
+    if np.abs(stated[free:]).max(initial=0.0) > 0.0:
+        faults.append("the fixed scale has a variance")
+    whitened = np.linalg.solve(np.linalg.cholesky(stated[:free, :free]), one.twists()[:, :free].T)
+    ratios = np.linalg.eigvalsh(whitened @ whitened.T / whitened.shape[1])
+    if ratios[0] < 1.0 - SPREAD or ratios[-1] > 1.0 + SPREAD:
+        faults.append(f"in some direction, the variance is {ratios} times the stated one")
+    return "compared", faults
+
+
 CHECKS: dict[str, Callable[[int], Checked]] = {
     "max_rms": check_max_rms,
     "certify": check_certify,
@@ -183,6 +255,10 @@ CHECKS: dict[str, Callable[[int], Checked]] = {
     "max_inliers": check_max_inliers,
     "range": check_range,
     "sweep": check_sweep,
+    "similarity3d": check_similarity3d,
+    "weights": check_weights,
+    "candidates": check_candidates,
+    "covariance": check_covariance,
 }
 
 

@@ -24,6 +24,9 @@ RANGES_3D = (
     {"max_angle": 0.0, "max_translation": 0.4},
 )
 TIME_LIMIT = 2.0
+# What a problem can have in addition; each of them excludes the others.
+VARIANTS = ("range", "similarity3d", "weights", "candidates")
+Rows = list[int] | np.ndarray
 
 
 @dataclass(frozen=True)
@@ -33,15 +36,19 @@ class Small:
     number: int
     kind: str
     problem: Problem
+    weights: dcreg.PointWeights | None = None
 
     @property
     def keywords(self) -> dict[str, Any]:
         """What `register`, `certify` and, without a range, `alternatives` share."""
         p = self.problem
-        ranges = {} if p.pose_range is None else {"pose_range": p.pose_range}
+        given = {
+            "pose_range": p.pose_range, "candidates": p.candidates, "weights": self.weights,
+        }  # fmt: skip
         return {
             "n_inliers": p.n_inliers, "model": p.model, "time_limit": TIME_LIMIT,
-            "scale_range": p.scale_range, **ranges,
+            "scale_range": p.scale_range,
+            **{name: value for name, value in given.items() if value is not None},
         }  # fmt: skip
 
     def with_n_inliers(self, count: int) -> Small:
@@ -49,14 +56,24 @@ class Small:
         return replace(self, problem=self.problem.with_n_inliers(count))
 
     def fits(self) -> list[tuple[float, np.ndarray]]:
-        """Return the best pose of every matching with its objective for this matching."""
+        """Return the best pose of every feasible matching with its objective for this matching."""
         p = self.problem
         found = []
         for rows, columns in matchings(len(p.source), len(p.target), p.n_inliers):
-            x, y = p.source[rows], p.target[columns]
-            T = p.fit(x, y)
-            found.append((float(((apply_pose(T, x) - y) ** 2).sum()), T))
+            if p.candidates is not None and not p.candidates[rows, columns].all():
+                continue
+            factors = () if p.weights is None else (p.weights.factors[rows, columns],)
+            T = p.fit(p.source[rows], p.target[columns], *factors)
+            found.append((self.cost(T, rows, columns), T))
         return found
+
+    def cost(self, T: np.ndarray, rows: Rows, columns: Rows) -> float:
+        """Return the sum of the squared residuals of pairs, or of their weighted costs."""
+        p = self.problem
+        costs = ((apply_pose(T, p.source[rows]) - p.target[columns]) ** 2).sum(axis=1)
+        if p.weights is not None:
+            costs = p.weights.factors[rows, columns] * costs + p.weights.extra[rows, columns]
+        return float(costs.sum())
 
     def rounding(self) -> float:
         """Return an objective that is 0 up to rounding."""
@@ -67,10 +84,12 @@ class Small:
         return f"#{self.number} {p.model} {self.kind} n={len(p.source)} m={len(p.target)} k={p.n_inliers}"
 
 
-def small(number: int, *, with_range: bool = False) -> Small:
-    """Return the problem of a number."""
+def small(number: int, variant: str = "") -> Small:
+    """Return the problem of a number, in one of the `VARIANTS` if one is given."""
     rng = np.random.default_rng([7, number])
     model = MODELS[number % 3 % 2]  # two of three in 2D, where searches are fast
+    if variant == "similarity3d":
+        model = variant
     d = 2 if model == "similarity2d" else 3
     kind = KINDS[int(rng.integers(len(KINDS)))]
     n, m = (int(count) for count in rng.integers(3, 6, size=2))
@@ -83,30 +102,44 @@ def small(number: int, *, with_range: bool = False) -> Small:
     target = rng.standard_normal((m, d))
     if kind != "general":
         common = min(n, m)
-        turn = _rotation(rng, d)
+        turn = rotation(rng, d)
         target[:common] = source[:common] @ turn.T + 0.3 * rng.standard_normal(d)
         target[:common] += 0.02 * rng.standard_normal((common, d))
         target = target[rng.permutation(m)]
     k = int(rng.integers(min(d, n, m), min(n, m) + 1))
-    scale_range = (0.5, 1.5) if d == 2 and rng.random() < 0.5 else (1.0, 1.0)
-    pose_range = None
-    if with_range:
+    has_scale = model != "rigid3d" and rng.random() < 0.5
+    scale_range = (0.5, 1.5) if has_scale else (1.0, 1.0)
+    pose_range = candidates = weights = None
+    if variant == "range":
         ranges = RANGES_2D if d == 2 else RANGES_3D
         pose_range = dcreg.PoseRange(
             **ranges[int(rng.integers(len(ranges)))], around=_around(rng, d)
         )
-    return Small(
-        number, kind, Problem(source, target, k, model, scale_range, pose_range=pose_range)
-    )
+    if variant == "candidates":
+        candidates = rng.random((n, m)) < 0.6
+        candidates[rng.permutation(n)[:k], rng.permutation(m)[:k]] = True  # one feasible matching
+    if variant == "weights":
+        weights = _weights(rng, n, m, k)
+    problem = Problem(source, target, k, model, scale_range, candidates, pose_range, weights)
+    return Small(number, kind, problem, weights)
+
+
+def _weights(rng: np.random.Generator, n: int, m: int, k: int) -> dcreg.PointWeights:
+    """Return weights of the source, or of both clouds; with a distance where one is required."""
+    source = rng.uniform(0.1, 1.0, n)
+    if k == n and rng.random() < 0.5:
+        return dcreg.PointWeights(source=source)
+    target = rng.uniform(0.1, 1.0, m) if rng.random() < 0.5 else None
+    return dcreg.PointWeights(source=source, target=target, distance=float(rng.uniform(0.1, 1.0)))
 
 
 def _around(rng: np.random.Generator, d: int) -> np.ndarray:
     T = np.eye(d + 1)
-    T[:d, :d], T[:d, d] = _rotation(rng, d), 0.3 * rng.standard_normal(d)
+    T[:d, :d], T[:d, d] = rotation(rng, d), 0.3 * rng.standard_normal(d)
     return T
 
 
-def _rotation(rng: np.random.Generator, d: int) -> np.ndarray:
+def rotation(rng: np.random.Generator, d: int) -> np.ndarray:
     if d == 3:
         return Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()
     angle = rng.uniform(0, 2 * np.pi)

@@ -265,6 +265,27 @@ def test_a_result_states_both(rng):
     assert [line for line in result.warnings if "the clouds can slide along 3 directions" in line]
 
 
+@pytest.mark.parametrize(("shape", "n_open"), [(plane, 3), (cylinder, 2), (box, 0), (volume, 0)])
+def test_registration_over_matches_warns_if_the_clouds_can_slide(shape, n_open, rng):
+    source, target = two(shape, rng, 1000)
+    target[:30] = source[:30]  # matches that determine the pose
+    pairs = np.column_stack([np.arange(30)] * 2)
+    found = dcreg.register_matches(source, target, pairs, inlier_distance=0.1, certify=False)
+    assert found.n_inliers == 30
+    assert len(found.open_directions) == n_open
+    assert any("the clouds can slide" in line for line in found.warnings) == bool(n_open)
+
+
+def test_matches_on_one_face_do_not_leave_a_box_open(rng):
+    source, target = two(box, rng)
+    (on_top,) = np.nonzero((source[:, 2] > 0.99) & (np.abs(source[:, :2] - 0.5) < 0.4).all(axis=1))
+    nearest = np.linalg.norm(source[on_top, None] - target, axis=2).argmin(axis=1)
+    pairs = np.column_stack([on_top, nearest])
+    found = dcreg.register_matches(source, target, pairs, inlier_distance=0.1, certify=False)
+    matched = source[found.assignment[:, 0]]
+    assert len(open_directions(matched, target)) > 0 == len(found.open_directions)
+
+
 def test_a_range_of_poses_has_no_uncertainty(rng):
     source, target = two(plane, rng, 250)
     pose_range = dcreg.PoseRange(axis=(0, 0, 1), max_angle=5.0)

@@ -1,0 +1,52 @@
+"""The study of answers: what it counts, and that it finds a wrong answer."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pandas as pd
+import pytest
+
+import dcreg
+from workflows.disturb import make_instance
+from workflows.studies import answers
+from workflows.studies.proof import known_axis
+
+
+def question(shape, name="certify"):
+    source = answers.dataset(answers.DATASET)
+    raw = make_instance(source, shape, "separate_outliers", 0.3, 0, 12)
+    return answers.Question(raw, 2.0, known_axis(raw, 0) if name == "axis" else None)
+
+
+@pytest.mark.parametrize("name", answers.QUESTIONS)
+def test_a_small_problem_is_answered_and_the_planted_pose_agrees(name):
+    asked = question("pony" if name == "axis" else "fish", name)
+    assert answers.QUESTIONS[name](asked) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("name", "called", "change"),
+    [
+        ("certify", "certify", {"lower_bound": 1e3}),
+        ("alternatives", "alternatives", {"min_displacement": 0.0, "threshold": 1e3}),
+        ("max_inliers", "max_inliers", {"at_most": 3}),
+        ("axis", "register", {"lower_bound": 1e3}),
+    ],
+)
+def test_a_false_answer_is_counted(name, called, change, monkeypatch):
+    asked = question("pony" if name == "axis" else "fish", name)
+    ask = getattr(dcreg, called)
+    monkeypatch.setattr(dcreg, called, lambda *a, **k: dataclasses.replace(ask(*a, **k), **change))
+    assert answers.QUESTIONS[name](asked)[1]
+
+
+def test_the_summary_counts_answers():
+    rows = pd.DataFrame({
+        "question": ["axis", "certify", "axis"], "closed": [True, False, False],
+        "wrong": [False, False, True], "time_s": [1.0, 2.0, 3.0],
+    })  # fmt: skip
+    assert answers.summary(rows).to_dict("records") == [
+        {"question": "axis", "problems": 2, "closed": 1, "open": 1, "wrong": 1, "median_s": 2.0},
+        {"question": "certify", "problems": 1, "closed": 0, "open": 1, "wrong": 0, "median_s": 2.0},
+    ]
