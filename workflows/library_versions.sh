@@ -18,7 +18,8 @@ END
 echo "$which: $needed"
 # shellcheck disable=SC2086
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check $needed \
-  pytest pytest-timeout hypothesis pydantic pyyaml pooch clarabel  # the last four are for the tests
+  pytest pytest-timeout hypothesis pydantic pyyaml pooch clarabel \
+  matplotlib seaborn
 NUMBA_CACHE_DIR=$venv/numba "$venv/bin/python" -m pytest -q -p no:cacheprovider \
   tests/golden/test_golden.py tests/unit/test_registration.py tests/unit/test_rigid.py \
   tests/unit/test_search.py tests/unit/test_certificate.py tests/unit/test_cli.py \
