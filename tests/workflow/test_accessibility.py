@@ -128,6 +128,7 @@ def test_page_has_no_barrier_and_prints_over_nothing(browser, pages, kind):
 def test_view_of_a_run_has_no_barrier(browser, pages):
     view(browser, 420, "dark")
     open_page(browser, pages["report"])
+    browser.execute_script("location.hash = 'gallery'")
     show(browser, "document.getElementById('gallery')", "document.querySelector('a.view')")
     browser.execute_script("location.hash = document.querySelector('a.view').hash")
     wait_for(browser, "document.getElementById('run').dataset.drawn")

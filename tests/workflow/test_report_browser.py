@@ -334,10 +334,64 @@ def test_dark_follows_the_system_and_the_button(page):
     assert min(background(page)) > 200
 
 
+CLOSED = "$$('details.fold:not([open])').map(fold => fold.parentElement.id)"
+IN_VIEW = "document.getElementById('{}').getBoundingClientRect().top"
+
+
+def test_sections_are_folded_on_a_phone_and_opened_by_links(page):
+    assert page.execute_script(f"return {CLOSED}") == []  # on a wide screen
+    view(page, 420, "light")
+    page.refresh()
+    sections = page.execute_script("return $$('main > section').map(section => section.id)")
+    assert page.execute_script(f"return {CLOSED}") == sections[1:]
+    assert page.execute_script("return document.documentElement.scrollHeight") < 12_000
+    assert page.execute_script("return $$('main > section').at(-1).innerText") == "Raw tables"
+    page.execute_script("$('nav a[href=\"#levels\"]').click()")
+    wait(page, f"!{CLOSED}.includes('levels')")
+    wait(page, f"{IN_VIEW.format('levels')} < 300")
+    drawn(page, "levels-similarity2d")
+    page.execute_script("$('#levels details').open = false")
+    page.execute_script("$('nav a[href=\"#levels\"]').click()")  # the address stays the same
+    wait(page, f"!{CLOSED}.includes('levels')")
+    page.execute_script("location.hash = 'wrong'")  # inside of a section
+    wait(page, f"0 <= {IN_VIEW.format('wrong')} && {IN_VIEW.format('wrong')} < 300")
+    assert page.execute_script(f"return {CLOSED}") == [
+        name for name in sections[1:] if name not in ("levels", "runs")
+    ]
+    page.refresh()  # with the address
+    wait(page, f"0 <= {IN_VIEW.format('wrong')} && {IN_VIEW.format('wrong')} < 300")
+
+
+def test_folded_sections_are_printed_filtered_and_their_runs_are_shown(page):
+    view(page, 420, "dark")
+    page.refresh()
+    closed = page.execute_script(f"return {CLOSED}")
+    page.execute_script("dispatchEvent(new Event('beforeprint'))")
+    assert page.execute_script(f"return {CLOSED}") == []
+    page.execute_script("dispatchEvent(new Event('afterprint'))")
+    assert page.execute_script(f"return {CLOSED}") == closed
+    page.execute_script("document.querySelector('[data-toggle-method=icp]').click()")
+    page.execute_script("$('#overview details').open = true")
+    rows = page.execute_script("return $$('#accounting [data-method=icp]').map(row => row.hidden)")
+    assert rows == [True]
+    run = wait(page, "$('#runs-table tbody a')?.hash")
+    page.execute_script("location.hash = arguments[0]", run)
+    wait(page, f"`#run=${{$('#run').dataset.drawn}}` === '{run}'")
+    assert page.find_element("id", "run-verdict").is_displayed()
+    element = "document.getElementById('fig-levels-similarity2d')"
+    page.execute_script("$('#run').close(); $('#levels details').open = true")
+    drawn(page, "levels-similarity2d")
+    page.execute_script("$('#levels details').open = false; $('#theme').click()")
+    page.execute_script("$('#levels details').open = true")
+    drawn(page, "levels-similarity2d")
+    wait(page, f"{element}.layout.width === {element}.clientWidth && {element}.clientWidth > 300")
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_phone_has_no_sideways_scroll_and_stacked_panels(page, scheme):
     view(page, 390, scheme)
     page.refresh()
+    page.execute_script("$$('details.fold').forEach(fold => { fold.open = true; })")
     element = drawn(page, "levels-similarity2d")
     drawn(page, "bounds")
     page.execute_script(
