@@ -727,7 +727,7 @@ def test_a_method_looks_the_same_in_every_experiment(tables, styles):
             assert getattr(style, look) == getattr(styles[label], look), label
 
 
-# Colours in linear RGB as people without red or green cones see them: Machado, Oliveira and Fernandes,
+# Colours in linear RGB as people without red, green or blue cones see them: Machado, Oliveira, Fernandes,
 # "A Physiologically-based Model for Simulation of Color Vision Deficiency", IEEE TVCG 15(6), 2009,
 # severity 1.0.
 VISION = {
@@ -739,6 +739,10 @@ VISION = {
     "deuteranopia": np.array(
         [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
          [-0.011820, 0.042940, 0.968881]]
+    ),
+    "tritanopia": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+         [0.004733, 0.691367, 0.303900]]
     ),
 }  # fmt: skip
 
