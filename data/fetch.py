@@ -15,7 +15,9 @@ import io
 import logging
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,6 +34,7 @@ CHECKOUT = Path(__file__).parents[1]
 TIMEOUT_S = 30  # per connection and per silence, not per file
 MOST_BYTES = 10**9  # of a file whose card states no size
 PART_BYTES = 2**16  # that are written at once
+_ORIGINS = ContextVar("origins", default=True)
 
 
 class ChecksumError(DataError):
@@ -54,6 +57,16 @@ def cache_root() -> Path:
 def cache_path(file: File) -> Path:
     """Return the path of this file in the cache, also for files that are put there manually."""
     return cache_root() / file.dataset / file.path
+
+
+@contextmanager
+def without_origins() -> Iterator[None]:
+    """Fetch only from the cache and the mirror, for work that can do without the files."""
+    token = _ORIGINS.set(False)
+    try:
+        yield
+    finally:
+        _ORIGINS.reset(token)
 
 
 def fetch(file: File, *alternatives: File) -> Path:
@@ -122,7 +135,7 @@ def _from_mirror(file: File, tried: list[str]) -> Path | None:
 
 
 def _from_origin(file: File, tried: list[str]) -> Path | None:
-    return _download(file, file.url, tried) if file.url else None
+    return _download(file, file.url, tried) if file.url and _ORIGINS.get() else None
 
 
 def _download(file: File, url: str, tried: list[str]) -> Path | None:

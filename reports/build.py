@@ -16,7 +16,7 @@ from workflows.discovery import modules
 HISTORY = Path("history", "index.html")  # of all versions, in the folder of all results
 WHOLE = "whole.html"  # the same page in one file, to be sent or to be part of another report
 # The first one is needed by the others.
-SCRIPTS = ("report.js", "versus.js", "runs.js", "cards.js", "run.js")
+SCRIPTS = ("report.js", "fold.js", "versus.js", "runs.js", "cards.js", "run.js")
 
 
 def build(tables_dir: Path, out: Path) -> None:

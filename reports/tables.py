@@ -6,11 +6,11 @@ import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
 
 from data import registry
 from data.contract import RecordedDataset
@@ -182,8 +182,17 @@ def is_right(runs: pd.DataFrame) -> pd.Series:
 
 def share_interval(right: int, runs: int) -> tuple[float, float]:
     """Return the ends of Wilson's 95 % interval of a share."""
-    ends = binomtest(right, runs).proportion_ci(COVERAGE, method="wilson")
-    return float(ends.low), float(ends.high)
+    low, high = share_intervals(np.array(right), runs)
+    return float(low), float(high)
+
+
+def share_intervals(right: np.ndarray, runs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of Wilson's 95 % intervals of shares of the same number of runs."""
+    share, z = right / runs, NormalDist().inv_cdf((1 + COVERAGE) / 2)
+    centre = share + z**2 / (2 * runs)
+    half = z * np.sqrt(share * (1 - share) / runs + (z / (2 * runs)) ** 2)
+    low, high = ((centre + side * half) / (1 + z**2 / runs) for side in (-1, 1))
+    return np.where(right > 0, low, 0.0), np.where(right < runs, high, 1.0)
 
 
 def limits_of(card: dict[str, Any]) -> dict[str, str]:

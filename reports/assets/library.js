@@ -23,7 +23,7 @@ async function show() {
   const grid = make("div", "", { className: "detail" });
   const left = make("div"), right = make("div");
   if (found.source) left.append(...picture(found));
-  else left.append(make("p", "The points are third-party data. The problem file has the recipe that fetches them.", { className: "note" }));
+  else left.append(...still(found));
   right.append(facts(found), ...boundsChart(found), make("h2", "Cite"), make("pre", found.cite));
   grid.append(left, right);
   section.append(grid);
@@ -38,6 +38,21 @@ function facts(found) {
   const list = make("dl", "", { className: "facts" });
   list.append(...factRows([...found.facts, ...more]));
   return list;
+}
+
+// The points of a recipe are third-party data: the page has a drawing of them at most.
+function still(found) {
+  const recipe = "The points are third-party data. The problem file has the recipe that fetches them.";
+  if (!found.picture) return [make("p", `${recipe} They were not available when this page was built, so it has no picture.`, { className: "note" })];
+  const holder = make("div");
+  holder.innerHTML = found.picture;
+  return [make("p", "Source at the best known pose.", { className: "quiet" }), holder, key(), make("p", recipe, { className: "note" })];
+}
+
+function key() {
+  const line = make("p", "", { className: "quiet key" });
+  line.innerHTML = '<span class="key-source"></span> source <span class="key-target">+</span> target';
+  return line;
 }
 
 function picture(found) {
@@ -64,9 +79,7 @@ function picture(found) {
       if (step) { event.preventDefault(); turn(...step); }
     });
   }
-  const key = make("p", "", { className: "quiet key" });
-  key.innerHTML = '<span class="key-source"></span> source <span class="key-target">+</span> target';
-  return [bar, canvas, key];
+  return [bar, canvas, key()];
 }
 
 addEventListener("resize", () => redraw?.());

@@ -105,6 +105,7 @@ function draw(element) {
 }
 
 async function drawNow(element) {
+  if (!element.clientWidth) { seen.observe(element); return; } // folded: drawn when it is visible
   const id = element.dataset.figure;
   const [library, data] = await Promise.all([plotly(), payload(id)]);
   const view = builders[element.dataset.builder](data, id);
@@ -320,6 +321,7 @@ async function drawThumbnail(canvas) {
     canvas.closest(".view")?.replaceChildren("not drawn: the tables contain no clouds of this instance");
     return;
   }
+  if (!canvas.clientWidth) { seen.observe(canvas); return; }
   const { clouds, record } = found;
   const source = canvas.dataset.when === "before" ? clouds.source : record.pose ? move(clouds.source, record.pose) : [];
   drawClouds(canvas, flatten(source), flatten(clouds.target), 1.7);

@@ -1,4 +1,4 @@
-"""Profiles per method over the attempted runs: error, time, and time against the fastest method."""
+"""Profiles per method over the attempted runs: error, time, time against the fastest method, and work."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pandas as pd
 
 from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
-from reports.tables import Tables, is_right
+from reports.tables import Tables, is_right, share_intervals
 from reports.theme import Style
 from workflows.outcomes import attempted, main_machine
 
@@ -23,47 +23,86 @@ _PANELS = {
         "right within this multiple",
     ),
 }
+WORK = {"n_nodes": "nodes", "n_assignments": "assignments"}  # column -> title; a view for each
 _MOST_STEPS = 250
+_SMALLEST = 1e-6  # error or time on a logarithmic axis; work starts at 1
 _NEEDED = ["model", "method", "outcome", "machine_id", "success", _ERROR, _TIME]
 
 
 def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:
-    """Draw the share of runs of each method within an error or a time.
+    """Draw the share of runs of each method within an error, a time or an amount of work.
 
     Wrong and missing poses count in the denominator only, so a curve over time ends at the success rate.
-    The times are those of one machine.
+    The times are those of one machine. There is a view for each measure of work that a method states.
     """
-    runs = attempted(tables.runs[["instance_id", *_NEEDED]])
+    counted = [name for name in WORK if name in tables.runs]
+    runs = attempted(tables.runs[["instance_id", *_NEEDED, *counted]])
     runs = runs[runs["model"] == model]
-    here = runs["machine_id"] == main_machine(tables.runs)
-    times = runs[_TIME].where(is_right(runs) & here)
+    right, here = is_right(runs), runs["machine_id"] == main_machine(tables.runs)
+    times = runs[_TIME].where(right & here)
     rivals = times.where(~runs["method"].map(tables.is_oracle))
     fastest = rivals.groupby(runs["instance_id"]).transform("min")
-    runs = runs.assign(**{_TIME: times, _RATIO: times / fastest})
-    grid, traces = Grid(column_titles=[title for title, *_ in _PANELS.values()]), []
-    for column, (name, (_, title, share)) in enumerate(_PANELS.items()):
+    work = {name: runs[name].astype(float).where(right).clip(lower=1.0) for name in counted}
+    runs = runs.assign(**{_TIME: times, _RATIO: times / fastest, **work})
+    views = {
+        title: _view(runs, here, styles, {name: ("work, right poses only", title, _within(title))})
+        for name, title in WORK.items()
+        if name in runs and runs[name].notna().any()
+    }
+    views = views or {"": _view(runs, here, styles, {})}
+    layout = next(iter(views.values()))["layouts"]["wide"]
+    payload = {
+        "views": views,
+        "scales": {"x": [name for name in layout if name.startswith("xaxis")]},
+    }
+    return Figure(f"profile-{model}", f"Error, time and work profiles, {model}", "plain", payload)
+
+
+def _within(title: str) -> str:
+    return f"right within this number of {title}"
+
+
+def _view(
+    runs: pd.DataFrame,
+    here: pd.Series,
+    styles: dict[str, Style],
+    work: dict[str, tuple[str, str, str]],
+) -> dict[str, Any]:
+    """Return the panels, with one of `work` last; `here` marks the runs of the machine of all times."""
+    panels = {**_PANELS, **work}
+    grid, traces = Grid(column_titles=[title for title, *_ in panels.values()]), []
+    for column, (name, (_, title, share)) in enumerate(panels.items()):
         axes = grid.add(Panel(0, column, title, "share of runs", x_type="log", share_x=False))
         for method, style in styles.items():
-            part = runs[(runs["method"] == method) & (here | (name == _ERROR))]
+            is_timed = name in (_TIME, _RATIO)
+            part = runs[(runs["method"] == method) & (here | (not is_timed))]
             if part[name].notna().any():
-                traces.append(_steps(part[name], share, axes, style))
-    view = {"data": traces, "layouts": grid.layouts()}
-    payload = {"views": {"": view}, "scales": {"x": grid.axes("x", {0})}}
-    return Figure(f"profile-{model}", f"Error and time profiles, {model}", "plain", payload)
+                traces += _steps(part[name], share, axes, style)
+    return {"data": traces, "layouts": grid.layouts()}
 
 
-def _steps(column: pd.Series, share: str, axes: tuple[str, str], style: Style) -> dict[str, Any]:
+def _steps(
+    column: pd.Series, share: str, axes: tuple[str, str], style: Style
+) -> list[dict[str, Any]]:
+    """Return the band of pointwise intervals and the curve."""
     values = np.sort(column.dropna().to_numpy())
-    shares = np.arange(1, len(values) + 1) / len(column)
-    if len(values) > _MOST_STEPS:
-        index = np.unique(np.linspace(0, len(values) - 1, _MOST_STEPS).astype(int))
-        values, shares = values[index], shares[index]
-    return {
-        "x": np.maximum(values, 1e-6), "y": shares, "xaxis": axes[0], "yaxis": axes[1],
-        "mode": "lines+markers", "name": style.name,
-        "marker": {"symbol": style.symbol, "size": 7, "maxdisplayed": 6},
-        "line": {"shape": "hv", "width": 2, "dash": style.dash},
-        "hovertemplate": f"{style.name}<br>%{{y:.0%}} of {len(column)} runs {share}: %{{x:.3g}}"
-        "<extra></extra>",
-        "meta": {"role": "profile", "method": style.label},
-    }  # fmt: skip
+    shown = np.unique(np.linspace(0, len(values) - 1, min(len(values), _MOST_STEPS)).astype(int))
+    values, counts = np.maximum(values[shown], _SMALLEST), shown + 1
+    base = {"xaxis": axes[0], "yaxis": axes[1], "name": style.name}
+    x = np.repeat(values, 2)[1:]  # corners of the steps
+    low, high = (np.repeat(each, 2)[:-1] for each in share_intervals(counts, len(column)))
+    return [
+        {
+            **base, "x": np.concatenate([x, x[::-1]]), "y": np.concatenate([high, low[::-1]]),
+            "mode": "lines", "fill": "toself", "line": {"width": 0}, "hoverinfo": "skip",
+            "meta": {"role": "band", "method": style.label},
+        },
+        {
+            **base, "x": values, "y": counts / len(column), "mode": "lines+markers",
+            "marker": {"symbol": style.symbol, "size": 7, "maxdisplayed": 6},
+            "line": {"shape": "hv", "width": 2, "dash": style.dash},
+            "hovertemplate": f"{style.name}<br>%{{y:.0%}} of {len(column)} runs {share}: %{{x:.3g}}"
+            "<extra></extra>",
+            "meta": {"role": "profile", "method": style.label},
+        },
+    ]  # fmt: skip

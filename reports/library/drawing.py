@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from data.fetch import UnavailableError, without_origins
 from data.library.problem import Problem
 from data.library.record import Record
 from dcreg.problem import apply_pose
@@ -22,20 +23,45 @@ def flat(points: np.ndarray) -> np.ndarray:
 
 
 def thumbnail(problem: Problem, record: Record) -> str:
-    """Draw both clouds at the best pose; empty if the points are not part of the library."""
-    if problem.needs_files or record.best_pose is None:
+    """Draw both clouds at the best pose; empty if there is no pose, or the points are not available."""
+    clouds = _placed(problem, record)
+    dots = ["".join(f"M{x:.0f} {y:.0f}h0" for x, y in points) for points in clouds]
+    return _drawing("thumb", *dots) if dots else ""
+
+
+def picture(problem: Problem, record: Record) -> str:
+    """Draw what `thumbnail` does larger: circles and crosses, as in the view of other problems."""
+    if not (clouds := _placed(problem, record)):
         return ""
-    source, target = problem.clouds
+    source, target = clouds
+    circles = "".join(f"M{x - 0.5:.1f} {y:.1f}a.5.5 0 1 0 1 0a.5.5 0 1 0-1 0" for x, y in source)
+    crosses = "".join(f"M{x - 0.5:.1f} {y:.1f}h1m-.5-.5v1" for x, y in target)
+    return _drawing("still", circles, crosses)
+
+
+def _drawing(name: str, source: str, target: str) -> str:
+    return (
+        f'<svg class="{name}" viewBox="0 0 {THUMB} {THUMB}" aria-hidden="true">'
+        f'<path class="s" d="{source}"/><path class="t" d="{target}"/></svg>'
+    )
+
+
+def _placed(problem: Problem, record: Record) -> list[np.ndarray]:
+    """Return source at the best pose and target in the square of a drawing, or nothing."""
+    if record.best_pose is None:
+        return []
+    try:
+        with without_origins():  # no download for a picture
+            source, target = problem.clouds
+    except UnavailableError:
+        return []
     clouds = [flat(apply_pose(np.array(record.best_pose.pose), source)), flat(target)]
     every = np.vstack(clouds)
-    low, size = every.min(axis=0), max(np.ptp(every, axis=0).max(), 1e-9)
-    scale = (THUMB - 6) / size
-    paths = []
-    for role, points in zip(("s", "t"), clouds, strict=True):
-        at = 3 + (points - low) * scale + (THUMB - 6 - np.ptp(every, axis=0) * scale) / 2
-        dots = "".join(f"M{x:.0f} {THUMB - y:.0f}h0" for x, y in at)
-        paths.append(f'<path class="{role}" d="{dots}"/>')
-    return f'<svg class="thumb" viewBox="0 0 {THUMB} {THUMB}" aria-hidden="true">{"".join(paths)}</svg>'
+    low, extent = every.min(axis=0), np.ptp(every, axis=0)
+    scale = (THUMB - 6) / max(extent.max(), 1e-9)
+    corner = 3 + (THUMB - 6 - extent * scale) / 2
+    across, up = np.array([1.0, -1.0]), np.array([0.0, THUMB])
+    return [up + across * (corner + (points - low) * scale) for points in clouds]
 
 
 def panels(rows: pd.DataFrame) -> list[tuple[str, str]]:

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from data.library.problem import Problem, all_problems
 from data.library.record import BoundEntry, Enumeration, PoseEntry, Record, read_record
 from dcreg import __version__
 from reports import templating, theme
+from reports.archive.sources import CITATION
 from reports.library import difficulty, drawing
 from reports.page import pack_json
+from workflows import CHECKOUT
 
 WORDS = {
     "easy": "proven by default options within 60 s of CPU time",
@@ -21,6 +26,8 @@ WORDS = {
 }
 BIBTEX = """@misc{{dcreg-library-{key},
   title = {{Problem {id} of the DC-Reg library of registration problems with proven optima}},
+  author = {{{author}}},
+  year = {{{year}}},
   note = {{Version {dcreg} of the record. {origin}}}
 }}"""
 
@@ -104,14 +111,29 @@ def _details(row: Row) -> dict[str, Any]:
         "unit": problem.unit, "scale_range": problem.scale_range,
         "facts": _facts(row), "history": _history(record),
         "cite": BIBTEX.format(
-            key=problem.name, id=problem.id, dcreg=__version__, origin=problem.origin
+            key=problem.name, id=problem.id, dcreg=__version__, origin=problem.origin, **_authorship()
         ),
     }  # fmt: skip
+    if problem.needs_files:  # a picture only: the page must not distribute the points
+        details["picture"] = drawing.picture(problem, record)
     if not problem.needs_files and best is not None:
         source, target = problem.clouds
         details |= {"source": source, "target": target, "pose": best.pose}
         details["truth"] = None if problem.truth is None else problem.truth.pose
     return details
+
+
+@cache
+def _authorship() -> dict[str, str]:
+    """Return authors and year of the library, as a BibTeX entry states them."""
+    citation = yaml.safe_load((CHECKOUT / CITATION).read_text(encoding="utf-8"))
+    authors = (
+        f"{{{author['name']}}}"
+        if "name" in author
+        else f"{author['family-names']}, {author['given-names']}"
+        for author in citation["authors"]
+    )
+    return {"author": " and ".join(authors), "year": str(citation["date-released"])[:4]}
 
 
 def _facts(row: Row) -> list[tuple[str, str]]:

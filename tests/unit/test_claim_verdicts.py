@@ -259,7 +259,11 @@ def test_times_of_other_machines_are_not_used(tmp_path):
         for stage in each["stages"].values():
             assert all((time is None) == (each["run"] in other) for time in stage["time"])
     shown, whole = (
-        profile.build(each, method_styles(tables), "rigid3d").payload["views"][""]["data"]
+        [
+            trace
+            for trace in profile.build(each, method_styles(tables), "rigid3d").traces
+            if trace["meta"]["role"] == "profile"
+        ]
         for each in (mixed.tables, tables)
     )
     complete = [max(trace["y"]) == 1.0 for trace in whole]

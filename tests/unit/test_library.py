@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 import shutil
 from dataclasses import asdict, replace
 
@@ -12,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import dcreg
+from data import fetch
 from data.contract import DataError
 from data.library import check, evaluate, matchings, record, submit
 from data.library.__main__ import app
@@ -576,3 +578,32 @@ def test_times_of_searches_without_a_proof_are_lower_limits():
     assert 50 < model.n_open < 250
     assert model.factors["overlap"] == pytest.approx(0.1, rel=0.1)  # least squares: about 0.2
     assert "overlap" in model.sentence()
+
+
+def test_an_entry_of_bibtex_has_author_and_year():
+    from reports.library import page
+
+    row = page._row(ONE, RECORDS[ONE.id])
+    cite = page._details(row)["cite"]
+    assert "author = {{The dcreg contributors}}" in cite
+    assert re.search(r"year = \{20\d\d\}", cite)
+    assert cite.count("{") == cite.count("}")
+
+
+def test_points_of_a_recipe_are_drawn_where_they_are_available(tmp_path, monkeypatch):
+    from reports.library import page
+
+    problem, record = find_problem("bunny-60"), RECORDS["bunny-60@1"]
+    monkeypatch.setenv("DCREG_DATA_CACHE", str(tmp_path))
+    monkeypatch.delenv("DCREG_DATA_MIRROR", raising=False)
+    monkeypatch.setattr(fetch, "_download", lambda *_: pytest.fail("a picture needs no download"))
+    fresh = problem.model_copy()
+    fresh.__dict__.pop("clouds", None)
+    missing = page._details(page._row(fresh, record))
+    assert missing["picture"] == ""
+    clouds = np.zeros((60, 3)) + np.arange(60)[:, None], np.ones((60, 3))
+    fresh.__dict__["clouds"] = clouds  # as if the mirror had the files
+    row = page._row(fresh, record)
+    found = page._details(row)
+    assert "source" not in found
+    assert found["picture"].count("<path") == row.thumbnail.count("<path") == 2

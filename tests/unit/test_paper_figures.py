@@ -6,6 +6,7 @@ import dataclasses
 import json
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -42,8 +43,11 @@ KINDS = {
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """Made-up results of every experiment that a figure of the paper needs, with the paper's methods."""
-    root = tmp_path_factory.mktemp("results")
+    return write_results(tmp_path_factory.mktemp("results"))
+
+
+def write_results(root: Path) -> Path:
+    """Write made-up results of all experiments of the paper's figures, with the paper's methods."""
     first = report_fixture.write_tables(root / "made" / "tables", "made")
     for experiment in {module.PAPER.experiment for module in MODULES.values()} - {""}:
         folder = root / f"{experiment}-quick" / "tables"

@@ -29,7 +29,15 @@ from reports.pairs import pair_rows
 from reports.sections import figures, outcome
 from reports.sections import levels as levels_section
 from reports.sections.parameters import parameters
-from reports.tables import PENALTY, ReportError, Tables, counted_time, row_names, thin_trace
+from reports.tables import (
+    PENALTY,
+    ReportError,
+    Tables,
+    counted_time,
+    row_names,
+    share_intervals,
+    thin_trace,
+)
 from tests.unit import report_fixture
 from tests.unit.report_fixture import CARDS
 from workflows.attribution import VERDICTS
@@ -553,14 +561,50 @@ def test_own_pairs_have_a_row_per_method_the_best_first(tables):
 def test_curves_over_time_end_at_the_success_rate(tables, styles):
     runs = attempted(tables.runs[tables.runs["model"] == "rigid3d"])
     figure = profile.build(tables, styles, "rigid3d")
-    for trace in figure.traces:
+    curves = [trace for trace in figure.traces if trace["meta"]["role"] == "profile"]
+    for trace in curves:
         part = runs[runs["method"] == trace["meta"]["method"]]
         share = part["rmse"].notna().mean() if trace["xaxis"] == "x" else part["success"].mean()
         assert trace["y"][-1] == pytest.approx(share)
-    ratios = [trace for trace in figure.traces if trace["xaxis"] == "x3"]
+    ratios = [trace for trace in curves if trace["xaxis"] == "x3"]
     assert min(min(trace["x"]) for trace in ratios) == 1.0
     # also those of a method with another number of pairs refer to the fastest of all methods
     assert all(max(trace["x"]) > 1.0 for trace in ratios if trace["meta"]["method"] != "icp")
+
+
+def test_profiles_over_work_have_the_methods_that_count_it(tables, styles):
+    views = profile.build(tables, styles, "rigid3d").payload["views"]
+    runs = attempted(tables.runs[tables.runs["model"] == "rigid3d"])
+    assert list(views) == list(profile.WORK.values())
+    for column, title in profile.WORK.items():
+        drawn = {}
+        for trace in views[title]["data"]:
+            if (trace["xaxis"], trace["meta"]["role"]) == ("x4", "profile"):
+                drawn[trace["meta"]["method"]] = max(trace["x"])
+        found = runs[runs["success"].astype(bool)].groupby("method")[column].max().dropna()
+        assert 1 < len(drawn) < runs["method"].nunique()
+        assert drawn == found.to_dict()
+    uncounted = dataclasses.replace(tables, runs=tables.runs.drop(columns=list(profile.WORK)))
+    assert list(profile.build(uncounted, styles, "rigid3d").payload["views"]) == [""]
+
+
+def test_every_curve_of_a_profile_is_within_its_band(tables, styles):
+    for view in profile.build(tables, styles, "rigid3d").payload["views"].values():
+        for band, curve in zip(view["data"][::2], view["data"][1::2], strict=True):
+            assert (band["meta"]["role"], curve["meta"]["role"]) == ("band", "profile")
+            high, low = np.split(np.array(band["y"]), 2)
+            np.testing.assert_array_less(low[::-1][::2], curve["y"])
+            assert (high[::2] >= curve["y"]).all()
+            assert set(band["x"]) == set(curve["x"])
+
+
+@pytest.mark.parametrize("runs", [1, 7, 400])
+def test_intervals_of_shares_are_those_of_wilson(runs):
+    right = np.arange(runs + 1)
+    found = np.transpose(share_intervals(right, runs))
+    for count, ends in zip(right.tolist(), found, strict=True):
+        expected = binomtest(count, runs).proportion_ci(0.95, method="wilson")
+        assert ends == pytest.approx([expected.low, expected.high], abs=1e-12)
 
 
 def test_outcome_counts_limits_and_missing_poses(tables):
@@ -683,7 +727,7 @@ def test_a_method_looks_the_same_in_every_experiment(tables, styles):
             assert getattr(style, look) == getattr(styles[label], look), label
 
 
-# Colours in linear RGB as people without red or green cones see them: Machado, Oliveira and Fernandes,
+# Colours in linear RGB as people without red, green or blue cones see them: Machado, Oliveira, Fernandes,
 # "A Physiologically-based Model for Simulation of Color Vision Deficiency", IEEE TVCG 15(6), 2009,
 # severity 1.0.
 VISION = {
@@ -695,6 +739,10 @@ VISION = {
     "deuteranopia": np.array(
         [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
          [-0.011820, 0.042940, 0.968881]]
+    ),
+    "tritanopia": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+         [0.004733, 0.691367, 0.303900]]
     ),
 }  # fmt: skip
 

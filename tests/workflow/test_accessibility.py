@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from dcreg import Trace, plot_registration, plot_sweep
+from dcreg import Trace, plot_registration, plot_sweep, register
+from dcreg.search import recording
 from tests.browsing import (
     barriers,
     errors,
@@ -21,6 +24,11 @@ from tests.results import event, made_result, made_sweep
 
 pytestmark = needs_browser
 
+ARCHIVE = Path(__file__).parents[2] / "reports" / "archive" / "0.2.0"
+KINDS = (
+    "report", "claims", "history", "register", "sweep", "boxes", "archive", "figures",
+)  # fmt: skip
+FIGURES = ("method_dc", "paper_2d", "paper_images")  # a drawing, curves, photographs
 VIEWS = [(width, scheme) for width in (420, 1400) for scheme in ("light", "dark")]
 DEPENDENT = (
     "color-contrast",
@@ -42,12 +50,14 @@ for (const figure of document.querySelectorAll('[data-figure]')) {
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory, made_report):
     """One page of each kind."""
-    from reports import claims
+    from reports import claims, paper_page
+    from reports.archive import pages as archive_pages
     from reports.history import page
     from reports.ledger.book import ledger
     from reports.ledger.judging import judge
     from tests.unit.claim_fixture import evidence, runs_of
     from tests.unit.record_fixture import table, write_record
+    from tests.unit.test_paper_figures import write_results
 
     folder = tmp_path_factory.mktemp("pages")
     found = evidence(runs_of("paper"), runs_of("rival"), runs_of("half"))
@@ -65,7 +75,27 @@ def pages(tmp_path_factory, made_report):
         "claims": claims.write(ledger(), judge(ledger(), found), found, folder),
         "register": folder / "register.html",
         "sweep": folder / "sweep.html",
+        "boxes": page_of_boxes(folder / "boxes.html"),
+        "archive": archive_pages._index(ARCHIVE, folder),
+        "figures": paper_page.build(
+            folder / "figures", [write_results(folder / "results")], FIGURES
+        ),
     }
+
+
+def page_of_boxes(path: Path) -> Path:
+    """Write the page of the boxes of a small search."""
+    from reports import boxes
+
+    rng = np.random.default_rng(2)
+    with recording() as recorder:
+        found = register(*rng.random((2, 8, 2)), n_inliers=7, model="similarity2d")
+    told = {
+        "method": "DC-Reg (ours)", "test": "made-up", "trial": 0, "status": found.status,
+        "stored": "same", "lower_bound": found.lower_bound, "upper_bound": found.objective,
+    }  # fmt: skip
+    path.write_text(boxes._render("1f", told, recorder, "similarity2d"), encoding="utf-8")
+    return path
 
 
 def draw(browser) -> None:
@@ -79,7 +109,7 @@ def draw(browser) -> None:
             show(browser, plot, f"{plot}.querySelector('.main-svg')")
 
 
-@pytest.mark.parametrize("kind", ["report", "claims", "history", "register", "sweep"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_page_has_no_barrier_and_prints_over_nothing(browser, pages, kind):
     view(browser, *VIEWS[0])
     open_page(browser, pages[kind])
@@ -98,6 +128,7 @@ def test_page_has_no_barrier_and_prints_over_nothing(browser, pages, kind):
 def test_view_of_a_run_has_no_barrier(browser, pages):
     view(browser, 420, "dark")
     open_page(browser, pages["report"])
+    browser.execute_script("location.hash = 'gallery'")
     show(browser, "document.getElementById('gallery')", "document.querySelector('a.view')")
     browser.execute_script("location.hash = document.querySelector('a.view').hash")
     wait_for(browser, "document.getElementById('run').dataset.drawn")

@@ -89,3 +89,12 @@ def test_a_problem_has_a_view_that_fits(page, width, scheme):
     assert page.execute_script("return document.documentElement.scrollWidth") <= width
     page.find_element("partial link text", "All problems").click()
     wait(page, "!document.querySelector('#all').hidden")
+
+
+def test_a_problem_with_a_recipe_has_a_drawing_or_says_why_not(page):
+    page.execute_script("location.hash = 'bunny-60@1'")
+    note = wait(page, "document.querySelector('#one .note')?.textContent")
+    is_drawn = page.execute_script("return Boolean(document.querySelector('#one svg.still'))")
+    assert is_drawn != ("no picture" in note)
+    assert page.execute_script("return document.querySelector('#one canvas')") is None
+    assert barriers(page) == []

@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from tests.bench.pages import FILTER, with_many_runs
 from tests.browsing import (
     errors,
     needs_browser,
@@ -103,6 +104,37 @@ def test_first_screen_is_the_outcome(page):
     assert "10 s per run" in page.find_element("css selector", ".run").text
     times = [float(value) for value in column(page, "outcomes", 8)]
     assert max(times) > 1.0  # limits and missing poses count twice the limit
+
+
+def test_a_report_can_be_read_before_its_data_is_loaded(page, made_report):
+    """The goal is 2 s until then, which ``python -m tests.bench.pages`` measures."""
+    assert (made_report / "index.html").stat().st_size < 250_000
+    assert page.execute_script("return document.getElementsByTagName('*').length") < 5000
+    early = page.execute_script(
+        "const parsed = performance.getEntriesByType('navigation')[0].domInteractive;"
+        "return performance.getEntriesByType('resource').filter(r => r.startTime < parsed)"
+        ".map(r => r.name)"
+    )
+    assert early == []
+
+
+def test_a_filter_of_10000_runs_changes_100_rows(browser, made_report, tmp_path):
+    """The goal is 0.2 s, which ``python -m tests.bench.pages`` measures."""
+    open_page(browser, with_many_runs(made_report, tmp_path / "many"))
+    show(browser, "document.getElementById('runs')", "$('#runs-table').dataset.took")
+    browser.execute_script(
+        "window.made = []; const own = document.createElement.bind(document);"
+        "document.createElement = (tag) => { made.push(tag); return own(tag); };"
+        "delete $('#runs-table').dataset.took;" + FILTER
+    )
+    wait(browser, "$('#runs-table').dataset.took")
+    count = browser.execute_script("return $('#runs-count').textContent")
+    assert count == "1–100 of 1\u202f667 runs"  # a sixth
+    made = browser.execute_script("return made")
+    assert made.count("tr") == 100
+    assert len(made) < 100 * 20
+    assert browser.execute_script("return $('#runs-table').tBodies[0].rows.length") == 100
+    assert errors(browser) == []
 
 
 def test_two_methods_are_compared(page):
@@ -302,10 +334,64 @@ def test_dark_follows_the_system_and_the_button(page):
     assert min(background(page)) > 200
 
 
+CLOSED = "$$('details.fold:not([open])').map(fold => fold.parentElement.id)"
+IN_VIEW = "document.getElementById('{}').getBoundingClientRect().top"
+
+
+def test_sections_are_folded_on_a_phone_and_opened_by_links(page):
+    assert page.execute_script(f"return {CLOSED}") == []  # on a wide screen
+    view(page, 420, "light")
+    page.refresh()
+    sections = page.execute_script("return $$('main > section').map(section => section.id)")
+    assert page.execute_script(f"return {CLOSED}") == sections[1:]
+    assert page.execute_script("return document.documentElement.scrollHeight") < 12_000
+    assert page.execute_script("return $$('main > section').at(-1).innerText") == "Raw tables"
+    page.execute_script("$('nav a[href=\"#levels\"]').click()")
+    wait(page, f"!{CLOSED}.includes('levels')")
+    wait(page, f"{IN_VIEW.format('levels')} < 300")
+    drawn(page, "levels-similarity2d")
+    page.execute_script("$('#levels details').open = false")
+    page.execute_script("$('nav a[href=\"#levels\"]').click()")  # the address stays the same
+    wait(page, f"!{CLOSED}.includes('levels')")
+    page.execute_script("location.hash = 'wrong'")  # inside of a section
+    wait(page, f"0 <= {IN_VIEW.format('wrong')} && {IN_VIEW.format('wrong')} < 300")
+    assert page.execute_script(f"return {CLOSED}") == [
+        name for name in sections[1:] if name not in ("levels", "runs")
+    ]
+    page.refresh()  # with the address
+    wait(page, f"0 <= {IN_VIEW.format('wrong')} && {IN_VIEW.format('wrong')} < 300")
+
+
+def test_folded_sections_are_printed_filtered_and_their_runs_are_shown(page):
+    view(page, 420, "dark")
+    page.refresh()
+    closed = page.execute_script(f"return {CLOSED}")
+    page.execute_script("dispatchEvent(new Event('beforeprint'))")
+    assert page.execute_script(f"return {CLOSED}") == []
+    page.execute_script("dispatchEvent(new Event('afterprint'))")
+    assert page.execute_script(f"return {CLOSED}") == closed
+    page.execute_script("document.querySelector('[data-toggle-method=icp]').click()")
+    page.execute_script("$('#overview details').open = true")
+    rows = page.execute_script("return $$('#accounting [data-method=icp]').map(row => row.hidden)")
+    assert rows == [True]
+    run = wait(page, "$('#runs-table tbody a')?.hash")
+    page.execute_script("location.hash = arguments[0]", run)
+    wait(page, f"`#run=${{$('#run').dataset.drawn}}` === '{run}'")
+    assert page.find_element("id", "run-verdict").is_displayed()
+    element = "document.getElementById('fig-levels-similarity2d')"
+    page.execute_script("$('#run').close(); $('#levels details').open = true")
+    drawn(page, "levels-similarity2d")
+    page.execute_script("$('#levels details').open = false; $('#theme').click()")
+    page.execute_script("$('#levels details').open = true")
+    drawn(page, "levels-similarity2d")
+    wait(page, f"{element}.layout.width === {element}.clientWidth && {element}.clientWidth > 300")
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_phone_has_no_sideways_scroll_and_stacked_panels(page, scheme):
     view(page, 390, scheme)
     page.refresh()
+    page.execute_script("$$('details.fold').forEach(fold => { fold.open = true; })")
     element = drawn(page, "levels-similarity2d")
     drawn(page, "bounds")
     page.execute_script(

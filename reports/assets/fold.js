@@ -1,0 +1,28 @@
+"use strict";
+// Sections after the first one can be folded, and are folded on a narrow screen. report.js stands before it.
+
+const folds = $$("details.fold");
+if (matchMedia("(max-width: 700px)").matches) folds.forEach((fold) => { fold.open = false; });
+
+// A link to a section, or to something inside one, opens it.
+function reveal() {
+  const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  if (!target) return;
+  const closed = [$(":scope > details.fold", target), ...folds.filter((fold) => fold.contains(target))].filter((fold) => fold && !fold.open);
+  closed.forEach((fold) => { fold.open = true; });
+  if (closed.length) target.scrollIntoView({ behavior: "instant" });
+}
+addEventListener("hashchange", reveal);
+document.addEventListener("click", ({ target }) => {
+  // the same address again is no change of the address
+  if (target.closest("a")?.hash === location.hash) reveal();
+});
+reveal();
+
+// Paper has all sections; afterwards those that were folded are folded again.
+let unfolded = [];
+addEventListener("beforeprint", () => {
+  unfolded = folds.filter((fold) => !fold.open);
+  unfolded.forEach((fold) => { fold.open = true; });
+});
+addEventListener("afterprint", () => unfolded.forEach((fold) => { fold.open = false; }));
