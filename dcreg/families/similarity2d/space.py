@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator
 
@@ -21,6 +22,7 @@ from dcreg.search import Box, Budget
 
 # Shares of the pairs beyond k with which local searches begin; they end with k pairs.
 _SURPLUS = (0.75, 0.5, 0.25)
+COARSE_PAIRS = 160_000  # pairs of points above which local searches begin with a sample
 MAX_SCORED = 150  # points of each cloud by which seeds are scored
 
 
@@ -152,8 +154,28 @@ class Similarity2D(FeatureSpace):
         )  # fmt: skip
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
-        """Alternate matching and fit; each assignment starts from the previous dual variables."""
-        return self._descend(theta, self.n_inliers)
+        """Alternate matching and fit, of large clouds with a sample first.
+
+        Each assignment starts from the previous dual variables.
+        """
+        coarse, before = self._coarse, 0
+        if coarse is not None:
+            theta, _, before = coarse._descend(theta, coarse.n_inliers)
+        theta, value, spent = self._descend(theta, self.n_inliers)
+        return theta, value, before + spent
+
+    @functools.cached_property
+    def _coarse(self) -> Similarity2D | None:
+        """The space of a sample, in which local searches of large clouds begin."""
+        free = self.candidates is None and not self.clouds.weights.size
+        if self.n_pairs <= COARSE_PAIRS or not free:
+            return None
+        clouds = self.source, self.clouds.target.T
+        some = [points[representative_points(points, MAX_SCORED)] for points in clouds]
+        count = sampled_pairs(self.n_inliers, clouds, some)
+        return Similarity2D(
+            some[0], some[1], count, self.scale_range, None, self.stop_flag, self.stationary_box
+        )
 
     def _descend(self, theta: np.ndarray, count: int) -> tuple[np.ndarray, float, int]:
         """Refine with `count` pairs; `theta` need not be admissible."""
