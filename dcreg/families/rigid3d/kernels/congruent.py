@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
-from dcreg.assignment.kernels.selection import kth_smallest
+from dcreg.assignment.kernels.selection import cleared, place_of_least
 from dcreg.families.kernels import overlap
-from dcreg.jit import jit, jit_part
+from dcreg.jit import jit, jit_inner, jit_part
 
 # Scores of all triples so far that a later one must exceed. The best distinct poses are nearly always
 # among so many, unless most triples have found the same pose.
@@ -46,7 +46,7 @@ def place(F, G, scale, centroid, middle, R, t):
             t[a] -= R[a, b] * centroid[b]
 
 
-@jit_part
+@jit_inner
 def direction(p, q, out):
     """Fill the first column of the frame of a triangle that begins with p and q; False: p = q."""
     length = 0.0
@@ -61,7 +61,7 @@ def direction(p, q, out):
     return True
 
 
-@jit_part
+@jit_inner
 def complete(p, r, out):
     """Fill the other columns of the frame of a triangle, as `frame` does; False if degenerate."""
     along = length = 0.0
@@ -109,10 +109,13 @@ def offer(R, t, weight, looked, field, least, scores, poses):
 
 
 @jit_part
-def least_of_best(scores, done):
-    """Return the score of rank `N_BEST` of the first `done` triples; 0 of fewer scores."""
-    count = done * scores.shape[1]
-    return kth_smallest(scores[:done].ravel(), count - N_BEST) if count >= N_BEST else 0.0
+def keep_best(scores, best):
+    """Replace the least of the best scores by better ones; return the least."""
+    for score in scores:
+        at = place_of_least(best)
+        if score > best[at]:
+            best[at] = score
+    return best[place_of_least(best)]
 
 
 @jit
@@ -146,12 +149,13 @@ def triple_poses(triples, sides, clouds, feasible, pairs, search, poses, scores)
     first, second, distances, order, ascending = pairs
     tolerance, looked, field, stop = search
     F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    centroid, middle = np.empty(3), np.empty(3)
-    tried = 0
+    centroid, middle, best = np.empty(3), np.empty(3), cleared(np.empty(N_BEST))
+    tried, least = 0, 0.0
     for at in range(triples.shape[0]):
         u, v, w = triples[at, 0], triples[at, 1], triples[at, 2]
         p, q, r = source[u], source[v], source[w]
-        least = least_of_best(scores, at)
+        if at > 0:
+            least = keep_best(scores[at - 1], best)
         if not frame(p, q, r, F):
             continue
         for a in range(3):

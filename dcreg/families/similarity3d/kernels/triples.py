@@ -11,12 +11,14 @@ import math
 
 import numpy as np
 
+from dcreg.assignment.kernels.selection import cleared
 from dcreg.families.rigid3d.kernels.congruent import (
+    N_BEST,
     complete,
     direction,
     first_at_least,
     frame,
-    least_of_best,
+    keep_best,
     offer,
     place,
 )
@@ -50,12 +52,13 @@ def similar_triple_poses(triples, sides, clouds, feasible, pairs, search, poses,
     first, second, distances, order, ascending = pairs
     tolerance, looked, field, stop = search
     F, G, R, t = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
-    centroid, middle = np.empty(3), np.empty(3)
-    tried = 0
+    centroid, middle, best = np.empty(3), np.empty(3), cleared(np.empty(N_BEST))
+    tried, least = 0, 0.0
     for at in range(triples.shape[0]):
         u, v, w = triples[at, 0], triples[at, 1], triples[at, 2]
         p, q, r = source[u], source[v], source[w]
-        least = least_of_best(scores, at)
+        if at > 0:
+            least = keep_best(scores[at - 1], best)
         if not frame(p, q, r, F):
             continue
         for a in range(3):
