@@ -37,7 +37,7 @@ locked() {
 
 echo "Setting up $venv (once; takes one to three minutes, mostly downloads and compilation) …"
 [ -x "$venv/bin/python" ] || step "virtual environment" "$python" -m venv "$venv"
-locked setuptools numpy scipy numba llvmlite lazy-loader >"$log/library.lock"
+locked setuptools numpy scipy numba llvmlite pykdtree lazy-loader >"$log/library.lock"
 step "what this library needs" install --require-hashes --requirement "$log/library.lock"
 step "this library" install --editable .
 step "compiled kernels" "$venv/bin/python" -m dcreg.driver.warm_up &
