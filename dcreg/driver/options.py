@@ -63,7 +63,8 @@ class SolveOptions:
     prove : bool
         Search to the time limit for a proof. By default, mode ``full`` and searches of samples end with
         status ``converged`` if a proof takes, or is expected to take, more than five seconds after the
-        initial poses: 25 if these are not confirmed; for a sample, 0.1 and 0.5. Sweeps over all points,
+        initial poses, divided by the number of threads but at least one second; five times as long if
+        the poses are not confirmed; for a sample, 0.1 and 0.5 seconds. Sweeps over all points,
         and searches with a limit on boxes or assignments, continue to their limits.
     assignment_limit : int, optional
         Maximum number of exact assignments of each search, including those of the initial poses. In

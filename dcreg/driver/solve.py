@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 _LOGGER = logging.getLogger("dcreg")
 # Seconds for a proof by default. A proof about a sample says little about all points, so it gets less.
 PATIENCE_S, SAMPLE_PATIENCE_S = 5.0, 0.1
+LEAST_PATIENCE_S = 1.0  # with many threads, which share `PATIENCE_S`
 
 
 def register_problem(
@@ -190,7 +191,9 @@ class Setup:
             return None
         if self.is_sampled:
             return SAMPLE_PATIENCE_S
-        return PATIENCE_S if self.mode.name == "full" else None
+        if self.mode.name != "full":
+            return None
+        return max(LEAST_PATIENCE_S, PATIENCE_S / self.options.n_threads)
 
     def normalised(self, at: int, budget: Budget) -> NormalisedProblem:
         """Return the problem that is searched for ``problems[at]``."""

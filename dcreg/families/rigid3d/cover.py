@@ -84,7 +84,7 @@ from functools import partial
 
 import numpy as np
 
-from dcreg.families.parallel import in_threads
+from dcreg.families.parallel import in_threads, stopped_after
 from dcreg.families.protocol import rows_of
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS, allocate_found
 from dcreg.families.rigid3d.kernels.division import divide_regions
@@ -231,6 +231,7 @@ class CongruentCover:
         self._triples: np.ndarray | None = None
         self.proven = 0.0, 0.0
         self._spent_s = 0.0
+        self._stop = space.stop_flag
 
     @property
     def applies(self) -> bool:
@@ -267,14 +268,16 @@ class CongruentCover:
         if not self._prepare() or self._known_s(cutoff) > allowed_s:
             return None
         began, n_tried, regions = budget.elapsed(), 0, []
-        for tried, found, is_affordable in self._slices(cutoff, allowed_s):
-            is_late = not budget.is_counted and budget.elapsed() - began > allowed_s / self.threads
-            if is_late or not is_affordable:
-                return None
-            n_tried += tried
-            regions.append(found)
-            if sum(len(each.triple) for each in regions) > MAX_LEFT:
-                return None
+        # the nominal seconds of a slice can be far too low
+        limit_s = np.inf if budget.is_counted else allowed_s / self.threads
+        with stopped_after(limit_s, self._space.stop_flag) as self._stop:
+            for tried, found, is_affordable in self._slices(cutoff, allowed_s):
+                if self._stop[0] or not is_affordable:
+                    return None
+                n_tried += tried
+                regions.append(found)
+                if sum(len(each.triple) for each in regions) > MAX_LEFT:
+                    return None
         self.proven = cutoff, self._spent_s
         boxes = self._boxes(Regions(*map(np.concatenate, zip(*regions, strict=True))))
         return Confined(boxes, cutoff, budget.elapsed() - began, n_tried, self.stage)
@@ -344,7 +347,7 @@ class CongruentCover:
         found = allocate_regions(_ROOM)
         tried, count = cover_triples(
             self._triples[part], frames[part], (self._source, self._target), feasible, self._pairs,
-            (thresholds, self._field), space.stop_flag, found,
+            (thresholds, self._field), self._stop, found,
         )  # fmt: skip
         found = rows_of(found, slice(0, min(count, _ROOM)))
         if count > _ROOM:
@@ -353,7 +356,8 @@ class CongruentCover:
         one = allocate_found(np.zeros((1, space.n_target), np.uint16))
         scratch = one, allocate_workspace(space.n_source, space.n_target)
         n_left, n_parts = divide_regions(
-            found, frames, self._limits, space.clouds, thresholds, (MAX_PARTS, room), scratch, left
+            found, frames, self._limits, space.clouds._replace(stop=self._stop), thresholds,
+            (MAX_PARTS, room), scratch, left,
         )  # fmt: skip
         kept = rows_of(left, slice(0, min(n_left, _ROOM)))
         spent_s = tried * TRIPLE_S * space.n_source

@@ -43,7 +43,7 @@ from functools import partial
 
 import numpy as np
 
-from dcreg.families.parallel import in_threads
+from dcreg.families.parallel import in_threads, stopped_after
 from dcreg.families.similarity2d.kernels.exclusion import Distances, Sides, divide_boxes
 from dcreg.families.similarity2d.space import Similarity2D, largest_subset_mean
 from dcreg.jit import is_compiled
@@ -105,6 +105,7 @@ class NearestCover:
     def __init__(self, space: Similarity2D, threads: int = 1) -> None:
         self._space, self.threads = space, threads
         self._sides: Sides | None = None
+        self._stop = space.stop_flag
 
     @property
     def applies(self) -> bool:
@@ -137,14 +138,15 @@ class NearestCover:
         Interrupted
         """
         began, n_tested, kept = budget.elapsed(), 0, []
-        for tested, found, is_affordable in self._slices(cutoff * (1.0 + _MARGIN), allowed_s):
-            is_late = not budget.is_counted and budget.elapsed() - began > allowed_s / self.threads
-            if is_late or not is_affordable:
-                return None
-            n_tested += tested
-            kept.append(found)
-            if sum(map(len, kept)) > MAX_LEFT:
-                return None
+        limit_s = np.inf if budget.is_counted else allowed_s / self.threads
+        with stopped_after(limit_s, self._space.stop_flag) as self._stop:
+            for tested, found, is_affordable in self._slices(cutoff * (1.0 + _MARGIN), allowed_s):
+                if self._stop[0] or not is_affordable:
+                    return None
+                n_tested += tested
+                kept.append(found)
+                if sum(map(len, kept)) > MAX_LEFT:
+                    return None
         lower, upper = (
             np.concatenate(parts) for parts in zip(*((b.lower, b.upper) for b in kept), strict=True)
         )
@@ -180,7 +182,7 @@ class NearestCover:
         lower, upper = np.empty((2, MAX_LEFT, 4))
         n_left, n_tested = divide_boxes(
             (start.lower, start.upper), self._sides, cutoff, self._space.axis_weights, (SMALL, most),
-            self._space.stop_flag, (lower, upper),
+            self._stop, (lower, upper),
         )  # fmt: skip
         is_whole = n_left <= MAX_LEFT and n_tested < most
         kept = slice(0, min(n_left, MAX_LEFT))
