@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from dcreg.families import starts
 from dcreg.families.kernels import overlap
-from dcreg.families.parallel import in_threads
+from dcreg.families.parallel import in_threads, stopped_after
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rigid3d.starts import (
     AGREEING,
@@ -224,3 +224,23 @@ def test_an_overlap_ends_early_only_where_it_is_far_below_the_floor(rng, share):
     assert 0.9 * is_near.sum() <= whole <= is_near.sum()  # cells are a third of the reach
     assert overlap(np.eye(3), np.zeros(3), points, field, 0.5 * whole) == whole
     assert overlap(np.eye(3), np.zeros(3), points, field, 1.5 * whole + 10.0) == 0.0
+
+
+@pytest.mark.parametrize("by", ["time", "stop", "end"])
+def test_a_flag_is_set_after_its_time_with_the_other_flag_and_at_the_end(by):
+    stop = np.zeros(1, np.uint8)
+    with stopped_after(0.05 if by == "time" else 60.0, stop) as flag:
+        assert not flag[0]
+        stop[0] = by == "stop"
+        until = time.monotonic() + 20.0
+        while by != "end" and not flag[0] and time.monotonic() < until:
+            time.sleep(0.01)
+        assert bool(flag[0]) == (by != "end")
+    assert flag[0]
+    assert bool(stop[0]) == (by == "stop")
+
+
+def test_without_a_time_the_other_flag_itself_is_used():
+    stop = np.zeros(1, np.uint8)
+    with stopped_after(np.inf, stop) as flag:
+        assert flag is stop
