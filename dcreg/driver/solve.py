@@ -45,9 +45,8 @@ if TYPE_CHECKING:
     from dcreg.driver.checkpoint import CheckpointFile
 
 _LOGGER = logging.getLogger("dcreg")
-# Seconds for a proof by default. A proof about a sample says little about all points, so it gets less.
-PATIENCE_S, SAMPLE_PATIENCE_S = 5.0, 0.1
-LEAST_PATIENCE_S = 1.0  # with many threads, which share `PATIENCE_S`
+# Seconds for a proof by default: of all threads together, at least, and of a sample, which says little.
+PATIENCE_S, LEAST_PATIENCE_S, SAMPLE_PATIENCE_S = 5.0, 1.0, 0.1
 
 
 def register_problem(
@@ -187,12 +186,10 @@ class Setup:
 
     def _patience_s(self) -> float | None:
         """Return how long a proof may take; None: until the limit."""
-        if self.options.prove:
+        if self.options.prove or not (self.is_sampled or self.mode.name == "full"):
             return None
         if self.is_sampled:
             return SAMPLE_PATIENCE_S
-        if self.mode.name != "full":
-            return None
         return max(LEAST_PATIENCE_S, PATIENCE_S / self.options.n_threads)
 
     def normalised(self, at: int, budget: Budget) -> NormalisedProblem:
