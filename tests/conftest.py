@@ -108,5 +108,9 @@ def set_clock(monkeypatch: pytest.MonkeyPatch) -> clocks.SetClock:
 
 @pytest.fixture
 def processor_clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Budgets count processor time, which other work on the machine does not prolong."""
+    """Budgets count processor time, which other work on the machine does not prolong.
+
+    It is the time of all threads together, so a search has only one by default.
+    """
+    monkeypatch.setattr("dcreg.driver.options.usable_processors", lambda: 1)
     clocks.use(monkeypatch, time.process_time)

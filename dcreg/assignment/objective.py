@@ -12,9 +12,7 @@ from dcreg.assignment.kernels.dense import cheapest_pairs
 from dcreg.jit import NEVER
 from dcreg.problem import Problem, largest_matching
 from dcreg.problem.geometry import apply_pose
-
-# So few pairs are matched exactly in a quarter of a second, even after the time limit.
-AT_ONCE_PAIRS = 1_200_000
+from dcreg.problem.weights import AT_ONCE_PAIRS
 
 
 def k_assignment(cost: np.ndarray, k: int, stop: np.ndarray = NEVER) -> tuple[float, np.ndarray]:

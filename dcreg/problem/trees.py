@@ -1,6 +1,6 @@
 """Search trees of point clouds.
 
-pykdtree loads in a millisecond, `scipy.spatial` in a fifth of a second, and it answers in half the time.
+pykdtree loads in a millisecond, `scipy.spatial` in a fifth of a second.
 """
 
 from __future__ import annotations
@@ -58,9 +58,8 @@ class Tree:
         self, points: np.ndarray, count: int, **options: Any
     ) -> tuple[np.ndarray, np.ndarray]:
         points = np.ascontiguousarray(points, dtype=float)
-        if (
-            _is_forked
-        ):  # OpenMP waits forever for the threads of the parent; a new thread has its own
+        # in a forked process OpenMP waits forever for the threads of the parent; a new thread has its own
+        if _is_forked:
             with ThreadPoolExecutor(1) as pool:
                 distances, rows = pool.submit(self._tree.query, points, count, **options).result()
         else:

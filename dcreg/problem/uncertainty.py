@@ -192,8 +192,7 @@ def _motions(points: np.ndarray, has_scale: bool) -> np.ndarray:
 def _search(target: np.ndarray, queries: int) -> Nearest:
     """Return a function from points and a count to distances and rows of their nearest targets."""
     if queries * len(target) > _DENSE:
-        tree = tree_of(target)
-        return lambda points, count: tree.neighbours(points, count)
+        return tree_of(target).neighbours
 
     def by_distances(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         squared = np.zeros((len(points), len(target)))

@@ -10,7 +10,9 @@ import numpy as np
 from dcreg.problem.errors import InputError
 
 LEAST = 1e-9  # least weight, relative to the largest one
-MAX_COSTS = 1_200_000  # pairs whose costs are kept; a search matches so many at once
+# So few pairs are matched exactly in a quarter of a second, even after the time limit. Only then are the
+# costs of pairs kept.
+AT_ONCE_PAIRS = 1_200_000
 
 
 @dataclass(frozen=True)
@@ -151,9 +153,9 @@ class PointWeights:
 
 def check_costs(name: str, n: int, m: int) -> None:
     """Refuse more pairs than those whose costs are kept, before they take memory."""
-    if n * m > MAX_COSTS:
+    if n * m > AT_ONCE_PAIRS:
         raise InputError(
-            f"{name}: {n} x {m} pairs exceed {MAX_COSTS:,}; downsample both clouds first, or omit "
+            f"{name}: {n} x {m} pairs exceed {AT_ONCE_PAIRS:,}; downsample both clouds first, or omit "
             f"{name}"
         )
 

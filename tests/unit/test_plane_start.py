@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dcreg.families.protocol import Space
-from dcreg.families.similarity2d.space import MAX_SCORED, Similarity2D
+from dcreg.families.similarity2d.space import COARSE_PAIRS, MAX_SCORED, Similarity2D
 from dcreg.search import Budget
 
 SHAPES = range(12)
@@ -82,3 +82,37 @@ def test_seeds_of_large_clouds_are_scored_by_some_of_their_points(rng):
     values = [space.objective(seed)[0] for seed in space.seeds()]
     np.testing.assert_array_equal(np.argsort(scores)[:2], np.argsort(values)[:2])
     assert max(scores) < 0.75 * max(values)  # a sum over fewer pairs
+
+
+class OfAllPoints(Similarity2D):
+    """Local searches that do not begin with a sample."""
+
+    _coarse = None
+
+
+def test_local_searches_of_large_clouds_begin_with_a_sample(rng):
+    """They end as low, and match all points less often."""
+    points = rng.standard_normal((round(COARSE_PAIRS**0.5) + 20, 2)) * [2.0, 1.0]
+    points -= points.mean(axis=0)
+    start = np.array([np.cos(0.3), np.sin(0.3), 0.1, 0.0])
+    ends = {}
+    for kind in (Similarity2D, OfAllPoints):
+        space, matched = kind(points, points, len(points) - 50, (0.5, 1.5)), []
+        costs = space._costs
+        space._costs = lambda theta, costs=costs, matched=matched: matched.append(1) or costs(theta)
+        theta, value, spent = space.refine(start)
+        assert value == pytest.approx(space.objective(theta)[0], abs=1e-9)
+        ends[kind] = value, len(matched), spent
+    (value, n_matched, spent), (of_all, n_of_all, spent_of_all) = ends.values()
+    assert value <= of_all + 1e-9
+    assert n_matched < n_of_all == spent_of_all + 1
+    assert spent > n_matched - 1  # the assignments of the sample count
+
+
+def test_small_clouds_and_candidates_have_no_sample():
+    source, target = contours(0)
+    every = np.ones((len(source), len(target)), bool)
+    assert Similarity2D(source, target, 30, (0.5, 1.5))._coarse is None
+    large = np.tile(source, (6, 1))
+    assert Similarity2D(large, large, 30, (0.5, 1.5))._coarse is not None
+    assert Similarity2D(large, large, 30, (0.5, 1.5), np.tile(every, (6, 6)))._coarse is None

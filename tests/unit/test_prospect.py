@@ -163,3 +163,18 @@ def test_fast_boxes_before_a_cover_ask_for_no_estimate(n_nodes, spent_s, fast):
         budget=SimpleNamespace(patience_s=5.0), n_nodes=n_nodes, n_before_estimate=2_048
     )
     assert Search._is_before_estimate(search, spent_s) == fast
+
+
+@pytest.mark.parametrize(("threads", "patience_s"), [(1, 5.0), (2, 2.5), (64, 1.0)])
+def test_threads_share_the_patience(rng, threads, patience_s):
+    problem = Problem(*rng.standard_normal((2, 12, 3)), 10, "rigid3d")
+    options = dcreg.SolveOptions(threads=threads)
+    setup = solve.Setup.of([problem], solve.Limits(), options)
+    assert setup.normalised(0, Budget()).patience_s == patience_s
+
+
+@pytest.mark.parametrize(("processors", "threads"), [(1, 1), (2, 2), (64, 8)])
+def test_a_search_uses_all_processors_up_to_eight(monkeypatch, processors, threads):
+    monkeypatch.setattr("dcreg.driver.options.usable_processors", lambda: processors)
+    assert dcreg.SolveOptions().n_threads == threads
+    assert dcreg.SolveOptions(threads=3).n_threads == 3

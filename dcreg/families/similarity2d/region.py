@@ -40,6 +40,10 @@ class SimilarityInRegion(InRegion, Similarity2D):
         shift_radius = np.linalg.norm(half[:, 2:], axis=1)
         return BoxPoses(*self.poses(centres), radius, shift_radius, angle)
 
+    def of_points(self, source: np.ndarray, target: np.ndarray, n_inliers: int) -> Similarity2D:
+        settings = self.scale_range, None, self.stop_flag, self.stationary_box
+        return type(self)(source, target, n_inliers, *settings).within(self.region)
+
     def poses(self, thetas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         a, b = thetas[:, :2].T
         return np.moveaxis(np.array([[a, -b], [b, a]]), 2, 0), thetas[:, 2:]

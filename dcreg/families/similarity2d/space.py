@@ -173,8 +173,12 @@ class Similarity2D(FeatureSpace):
         clouds = self.source, self.clouds.target.T
         some = [points[representative_points(points, MAX_SCORED)] for points in clouds]
         count = sampled_pairs(self.n_inliers, clouds, some)
+        return self.of_points(some[0], some[1], count)
+
+    def of_points(self, source: np.ndarray, target: np.ndarray, n_inliers: int) -> Similarity2D:
+        """Return the same space over other points, without candidates."""
         return Similarity2D(
-            some[0], some[1], count, self.scale_range, None, self.stop_flag, self.stationary_box
+            source, target, n_inliers, self.scale_range, None, self.stop_flag, self.stationary_box
         )
 
     def _descend(self, theta: np.ndarray, count: int) -> tuple[np.ndarray, float, int]:
