@@ -10,8 +10,9 @@ from dcreg.search.boxes import (
     LongestEdge,
     Stored,
 )
-from dcreg.search.branch_and_bound import Outcome, Start, branch_and_bound
+from dcreg.search.branch_and_bound import branch_and_bound
 from dcreg.search.budget import Budget, Event, Interrupted, Listener
+from dcreg.search.outcome import Outcome, Start
 from dcreg.search.recording import Recorder, recording
 from dcreg.search.space_search import minimise
 from dcreg.search.tolerance import Tolerance, proven_share

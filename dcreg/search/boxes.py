@@ -72,6 +72,17 @@ class Boxes:
         """Return single boxes as one object."""
         return cls(np.array([box.lower for box in boxes]), np.array([box.upper for box in boxes]))
 
+    @classmethod
+    def joined(cls, first: Boxes, second: Boxes) -> Boxes:
+        """Return both; they have warm starts only if both do."""
+        warm_start = None
+        if first.warm_start is not None and second.warm_start is not None:
+            warm_start = np.concatenate([first.warm_start, second.warm_start])
+        return cls(
+            np.concatenate([first.lower, second.lower]), np.concatenate([first.upper, second.upper]),
+            np.concatenate([first.bounds, second.bounds]), warm_start,
+        )  # fmt: skip
+
     def __len__(self) -> int:
         return len(self.lower)
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Confined, Evaluation, Leaves, OpenNodes
 from dcreg.search.budget import Budget, Event, Interrupted
+from dcreg.search.outcome import Outcome, Start
 from dcreg.search.prospect import (
     ESTIMATED_AFTER_S,
     ESTIMATED_FOR_LISTENER_AFTER_S,
@@ -26,43 +27,6 @@ from dcreg.search.recording import active
 from dcreg.search.tolerance import Tolerance
 from dcreg.status import Status
 
-
-@dataclass(frozen=True)
-class Outcome:
-    """The best parameter found, with bounds that hold for every status.
-
-    Attributes
-    ----------
-    status : Status
-    theta : (d,) array
-    lower_bound, upper_bound : float
-        ``lower_bound <= minimum <= upper_bound``; the latter is the objective at `theta`.
-    n_nodes, n_assignments : int
-        Boxes bounded, and exact assignments solved, including those of local searches.
-    time_s : float
-    events : list of Event
-        One for each change of a bound, and one at the end.
-    leaves : Leaves, optional
-        The leaf boxes, if they were kept.
-    confined : list of Confined
-        The boxes to which a cover confined the search, in the order of the stages.
-    abandoned_s : dict of str to float
-        Seconds of abandoned attempts, by stage of the cover.
-    """
-
-    status: Status
-    theta: np.ndarray
-    lower_bound: float
-    upper_bound: float
-    n_nodes: int
-    n_assignments: int
-    time_s: float
-    events: list[Event] = field(default_factory=list)
-    leaves: Leaves | None = None
-    confined: list[Confined] = field(default_factory=list)
-    abandoned_s: dict[str, float] = field(default_factory=dict)
-
-
 # A local search starts from the best candidate of a round if its value is at most that from which the
 # last local search started, times this factor for every round since then. Local searches are therefore
 # frequent while the incumbent improves.
@@ -71,15 +35,6 @@ REFINING_PATIENCE = 1.01
 SHARE_BEFORE_ESTIMATE = 0.2  # share of the patience that may pass before the prospect is estimated
 _GRID = 1e-6  # step of rounded values, as a share of the allowed gap
 MIN_ROUND = 16  # minimum number of boxes divided in a round, if the bound allows it
-
-
-class Start(NamedTuple):
-    """A known parameter with its objective, and the work spent on finding it."""
-
-    theta: np.ndarray
-    value: float = np.inf
-    n_assignments: int = 0
-    time_s: float = 0.0
 
 
 # theta -> (better theta, its objective, assignments spent): local search from a promising parameter
@@ -331,13 +286,24 @@ class Search:
         if self.prospect is None:
             if Prospect(done + FEW_DESCENTS).is_poor(done, spent, budget, self.not_bounding_s):
                 return True  # even the estimate would take too long
-            self.prospect = Prospect.of(
-                self.bound.fresh(), self.branching, self.cutoff, self.confined.boxes,
-                self.within_region, budget, spent,
-            )  # fmt: skip
-            estimating_s = budget.elapsed() - self.patience_began - spent
-            self.not_bounding_s, spent = self.not_bounding_s + estimating_s, spent + estimating_s
+            self.estimate()
+            spent = budget.elapsed() - self.patience_began
+        assert self.prospect is not None
         return self.prospect.is_poor(done, spent, budget, self.not_bounding_s)
+
+    def estimate(self) -> float:
+        """Estimate how many boxes the proof takes; return how many of them are left."""
+        began, boxes = self.budget.elapsed(), Boxes.joined(self.nodes.boxes(), self.boxes)
+        if not len(boxes):
+            return 0.0
+        found = Prospect.of(
+            self.bound.fresh(), self.branching, self.cutoff, boxes, self.within_region, self.budget,
+            began - self.patience_began,
+        )  # fmt: skip
+        done = self.n_nodes - self.n_nodes_before
+        self.prospect = replace(found, n_nodes=done + found.n_nodes)
+        self.not_bounding_s += self.budget.elapsed() - began
+        return found.n_nodes
 
     def _is_before_estimate(self, spent_s: float) -> bool:
         """Tell whether `n_before_estimate` boxes will be bounded soon, and the estimate can wait."""

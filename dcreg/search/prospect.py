@@ -42,7 +42,8 @@ def expected_boxes(
     cutoff. Every box at depth d stands for 2^d boxes of each root, so the sum of these weights is an
     unbiased estimate of the size of the tree (Knuth, Mathematics of Computation 29, 1975). Descents
     seldom meet a large subtree that covers a small share of the volume, such as that around the
-    minimiser. The mean of a few descents is therefore usually too low.
+    minimiser, so the mean of a few descents from the roots of a search is usually too low. From hundreds
+    of open boxes it is accurate to about a third.
 
     Parameters
     ----------
@@ -66,10 +67,12 @@ def expected_boxes(
     """
     rng = np.random.default_rng(0)
     roots = Boxes.of(bound.roots) if roots is None else roots
+    # in turn, so that descents are spread evenly over few roots
+    begun = np.resize(rng.permutation(len(roots)), N_DESCENTS)
 
-    def descend(count: int) -> tuple[float, int]:
+    def descend(descents: slice) -> tuple[float, int]:
         """Return the sum of the weights of the boxes that some descents meet, and their number."""
-        boxes, weight = roots[rng.integers(len(roots), size=count)], float(len(roots))
+        boxes, weight = roots[begun[descents]], float(len(roots))
         total, n_tried, depth = 0.0, 0, 0
         while len(boxes) and depth < _MAX_DEPTH:
             total, n_tried, depth = total + weight * len(boxes), n_tried + len(boxes), depth + 1
@@ -81,10 +84,10 @@ def expected_boxes(
             weight *= 2.0
         return total, n_tried
 
-    total, n_tried = descend(FEW_DESCENTS)
+    total, n_tried = descend(slice(FEW_DESCENTS))
     if is_late is not None and is_late():
         return total / FEW_DESCENTS, n_tried
-    more, n_more = descend(N_DESCENTS - FEW_DESCENTS)
+    more, n_more = descend(slice(FEW_DESCENTS, None))
     return (total + more) / N_DESCENTS, n_tried + n_more
 
 
@@ -122,7 +125,8 @@ class Prospect:
         search. `spent_s` are the seconds of the patience that are used.
         """
         began = budget.elapsed()
-        late_after_s = ESTIMATE_SHARE * _left_s(spent_s, budget)
+        # the clock must not change a counted search
+        late_after_s = math.inf if budget.is_counted else ESTIMATE_SHARE * _left_s(spent_s, budget)
 
         def is_late() -> bool:
             return budget.elapsed() - began > late_after_s

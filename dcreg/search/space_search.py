@@ -13,8 +13,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from dcreg.search.boxes import Bound, Boxes, Confined, Leaves, LongestEdge
-from dcreg.search.branch_and_bound import Outcome, Search, Start
+from dcreg.search.branch_and_bound import Search
 from dcreg.search.budget import Budget, Event, Interrupted
+from dcreg.search.outcome import Outcome, Start
 from dcreg.search.tolerance import Tolerance
 from dcreg.status import Status
 
@@ -24,6 +25,8 @@ COVER_SHARE = 0.8  # share of the time left that one call of `Cover.confine` may
 UNLIMITED_S = 120.0  # time left that is assumed without a limit, and at most
 # Nominal seconds (see `Cover.confine`) of a call if boxes or assignments are limited.
 COUNTED_S = 5.0
+# Share of the nominal seconds that boxes alone are expected to take that one call may take.
+WORTH = 0.75
 
 
 class Searchable(Protocol):
@@ -66,7 +69,12 @@ class Cover(Protocol):
 
     @property
     def shares(self) -> Sequence[float]:
-        """Shares of the cutoff to prove, in this order."""
+        """Shares of the cutoff to prove, in this order. Those after 1 are for searches without an end."""
+        ...
+
+    @property
+    def box_s(self) -> float:
+        """Nominal seconds (see `confine`) of the search per box."""
         ...
 
     @property
@@ -199,11 +207,18 @@ def _with_cover(course: Course, cover: Cover, patience_s: float | None) -> Outco
     """Continue a long search: prove shares of the cutoff by means of a cover, while time allows."""
     search, budget = course.search, course.search.budget
     cover.proven = course.proven
+    search_s = 0.0
+    if search.status is None and course.n_shares < len(cover.shares):
+        search_s = search.estimate() * cover.box_s
     while course.n_shares < len(cover.shares):
+        is_soon = search_s <= _allowed_s(search, cover, patience_s)
+        if is_soon and 1.0 in cover.shares[: course.n_shares]:
+            break  # boxes alone prove the whole cutoff
         share, paused_at = cover.shares[course.n_shares], budget.elapsed()
         tolerance = _share_of(search.tolerance, share)
         if course.part is None and tolerance.cutoff(search.upper_bound) > search.floor:
-            confined = _confined(search, cover, tolerance.cutoff(search.upper_bound), patience_s)
+            allowed_s = min(_allowed_s(search, cover, patience_s), WORTH * search_s)
+            confined = _confined(search, cover, tolerance.cutoff(search.upper_bound), allowed_s)
             course.proven = cover.proven
             if confined is not None:
                 course.confined.append(confined)
@@ -235,18 +250,21 @@ def _with_cover(course: Course, cover: Cover, patience_s: float | None) -> Outco
     return replace(search.outcome(), confined=course.confined, abandoned_s=course.abandoned_s)
 
 
-def _confined(
-    search: Search, cover: Cover, cutoff: float, patience_s: float | None
-) -> Confined | None:
-    """Return boxes that contain every optimum below the cutoff; None if this takes too long.
+def _allowed_s(search: Search, cover: Cover, patience_s: float | None) -> float:
+    """Return the nominal seconds that the limits allow for one call of `Cover.confine`.
 
     A cover finds no better incumbent, so `patience_s` is that for confirmed initial poses.
     """
     budget = search.budget
-    times = [time_s for time_s in (budget.left(), patience_s) if time_s is not None]
-    allowed_s = COVER_SHARE * min([UNLIMITED_S, *times]) * cover.threads
     if budget.is_counted:  # neither the clock nor the threads may change the result
-        allowed_s = COUNTED_S
+        return COUNTED_S
+    times = [time_s for time_s in (budget.left(), patience_s) if time_s is not None]
+    return COVER_SHARE * min([UNLIMITED_S, *times]) * cover.threads
+
+
+def _confined(search: Search, cover: Cover, cutoff: float, allowed_s: float) -> Confined | None:
+    """Return boxes that contain every optimum below the cutoff; None if this takes too long."""
+    budget = search.budget
     budget.report(
         Event(
             "heartbeat", cover.stage, budget.elapsed(), search.n_nodes, search.n_assignments,

@@ -248,7 +248,7 @@ def test_a_search_with_a_cover_proves_the_same_optimum_with_fewer_boxes(seed):
 class EverythingIsExcluded:
     """A cover that leaves no boxes, whatever the cutoff."""
 
-    stage, threads, applies, shares = "everything", 1, True, (0.25, 1.0)
+    stage, threads, applies, shares, box_s = "everything", 1, True, (0.25, 1.0), 1.0
 
     @staticmethod
     def confine(cutoff: float, budget: Budget, allowed_s: float) -> Confined:

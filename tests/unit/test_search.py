@@ -32,6 +32,9 @@ class Ripples:
         self.round_size = round_size
         self.roots = ROOT
 
+    def fresh(self):
+        return Ripples(self.round_size)
+
     def value(self, thetas):
         return ((thetas - self.centre) ** 2).sum(axis=1) + 0.3 * (1 - np.cos(8 * thetas[:, 0]))
 
@@ -255,7 +258,6 @@ def test_local_searches_and_the_estimate_are_set_aside(set_clock, monkeypatch):
 
     monkeypatch.setattr(Prospect, "of", estimate)
     monkeypatch.setattr(Prospect, "is_poor", lambda *given: asked.append(given[1:]))
-    monkeypatch.setattr(Ripples, "fresh", lambda self: self, raising=False)
     search.refine, search.worth_refining = refine, np.inf
     search.run(search.n_nodes + 1)
     assert [not_bounding_s for *_, not_bounding_s in asked] == [2.0, 5.0]
@@ -292,7 +294,7 @@ def test_an_estimate_that_takes_long_is_short(set_clock, patience_s, is_short):
 class SlowCover:
     """Takes three seconds and confines the search to a part of the roots."""
 
-    stage, threads, applies, shares = "slow", 1, True, (1.0,)
+    stage, threads, applies, shares, box_s = "slow", 1, True, (1.0,), np.inf
 
     def __init__(self, clock):
         self.clock = clock
@@ -328,3 +330,36 @@ def test_a_cover_that_gives_up_is_shown_and_its_time_is_kept(set_clock, monkeypa
     shown = [event for event in events[n_known:] if event.stage == "slow"]
     assert [event.kind for event in shown] == ["heartbeat"] * 2
     assert {event.upper_bound for event in shown} == {paused.upper_bound}
+
+
+class Asked(SlowCover):
+    """Proves nothing, and keeps the seconds that it was given."""
+
+    shares = (0.25, 1.0, 0.5)
+
+    def __init__(self, box_s):
+        self.box_s, self.allowed = box_s, []
+
+    def confine(self, cutoff, budget, allowed_s):
+        self.allowed.append(allowed_s)
+
+
+@pytest.mark.parametrize(
+    ("box_s", "asked"),
+    [
+        (1e-3, 2),  # boxes alone end soon, so the half is not needed
+        (1e3, 3),  # they do not
+    ],
+)
+def test_a_cover_may_take_a_part_of_the_time_that_boxes_take(box_s, asked, monkeypatch):
+    paused, cover = paused_search(Budget(time_s=100.0)), Asked(box_s)
+    monkeypatch.setattr(Search, "estimate", lambda self: 5000.0)
+    space_search._with_cover(space_search.Course(None, paused), cover, None)
+    most = [space_search.WORTH * 5000.0 * box_s, space_search.COVER_SHARE * 100.0]
+    assert cover.allowed == pytest.approx([min(most)] * asked, rel=0.01)
+
+
+def test_nothing_is_estimated_without_open_boxes():
+    paused = paused_search()
+    paused.narrow(Confined(Boxes(np.empty((0, 2)), np.empty((0, 2))), 1e-4))
+    assert paused.estimate() == 0.0

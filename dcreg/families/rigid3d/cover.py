@@ -121,6 +121,7 @@ SMALL, FEW_BOXES, MAX_MEETINGS = 0.4, 20_000, 5_000_000
 # Nominal seconds, the same on every machine: per congruent triple and source point; per region and point
 # pair; per part of a region and point pair. The time allowed depends on the time limit and the threads.
 TRIPLE_S, REGION_S, PART_S = 2.1e-9, 4e-9, 6e-10
+BOX_S = 2.7e-9  # of the search, per box and point pair
 SAMPLED = 0.1  # share of the allowed time that the slices of one triple may take
 
 
@@ -232,6 +233,7 @@ class CongruentCover:
         self.proven = 0.0, 0.0
         self._spent_s = 0.0
         self._stop = space.stop_flag
+        self.box_s = BOX_S * space.n_pairs
 
     @property
     def applies(self) -> bool:

@@ -101,6 +101,7 @@ class NearestCover:
     stage = "distances"
     shares = (1.0,)
     proven = 0.0, 0.0  # a single share needs no extrapolation
+    box_s = np.inf  # it ends long before a search by boxes alone
 
     def __init__(self, space: Similarity2D, threads: int = 1) -> None:
         self._space, self.threads = space, threads
