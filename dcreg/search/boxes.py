@@ -215,24 +215,35 @@ class Confined:
 
     def meeting(self, boxes: Boxes) -> Boxes:
         """Return those of `boxes` that overlap a confined box."""
-        lower, upper, axis = self._sorted
-        ends, width = lower[:, axis], float((upper - lower)[:, axis].max(initial=0.0))
-        first = np.searchsorted(ends, boxes.lower[:, axis] - width * (1.0 + 1e-9))
-        last = np.searchsorted(ends, boxes.upper[:, axis], side="right")
         meets = np.zeros(len(boxes), np.bool_)
-        kernels.meeting(boxes.lower, boxes.upper, lower, upper, first, last, meets)
+        kernels.meeting(boxes.lower, boxes.upper, *self._hierarchy, meets)
         return boxes if meets.all() else boxes[meets]
 
     @cached_property
-    def _sorted(self) -> tuple[np.ndarray, np.ndarray, int]:
-        """Lower and upper ends in the order of the lower ends along an axis, and this axis.
+    def _hierarchy(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the hierarchy of the boxes that `kernels.meeting` needs."""
+        order = _morton_order(self.boxes.lower)
+        levels = [(self.boxes.lower[order], self.boxes.upper[order])]
+        while len(levels[-1][0]) > kernels.FAN:
+            lower, upper = levels[-1]
+            firsts = np.arange(0, len(lower), kernels.FAN)
+            levels.append((np.minimum.reduceat(lower, firsts), np.maximum.reduceat(upper, firsts)))
+        starts = np.cumsum([0, *(len(lower) for lower, _ in levels)])
+        lower, upper = (np.concatenate(ends) for ends in zip(*levels, strict=True))
+        return lower, upper, starts
 
-        It is the axis with the most different lower ends, so that few boxes share a part of it.
-        """
-        lower = self.boxes.lower
-        axis = int(np.argmax([len(np.unique(ends)) for ends in lower.T]))
-        order = np.argsort(lower[:, axis], kind="stable")
-        return lower[order], self.boxes.upper[order], axis
+
+def _morton_order(points: np.ndarray) -> np.ndarray:
+    """Return the order of (n, d) points along a curve that keeps near points together."""
+    dim = points.shape[1]
+    n_bits = min(62 // dim, 20)
+    low = points.min(axis=0, initial=np.inf)
+    extent = np.maximum(points.max(axis=0, initial=-np.inf) - low, 1e-300)
+    cells = ((points - low) / extent * (2**n_bits - 1)).astype(np.int64)
+    keys = np.zeros(len(points), np.int64)
+    for bit, axis in np.ndindex(n_bits, dim):
+        keys |= ((cells[:, axis] >> bit) & 1) << (bit * dim + axis)
+    return np.argsort(keys, kind="stable")
 
 
 class OpenNodes:

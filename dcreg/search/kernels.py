@@ -6,7 +6,11 @@ slots of boxes. Bounds, sizes and serial numbers are in arrays indexed by slot.
 
 from __future__ import annotations
 
+import numpy as np
+
 from dcreg.jit import jit
+
+FAN = 8  # boxes of one level that a box of the next level of a hierarchy contains
 
 
 @jit
@@ -58,24 +62,49 @@ def pop(heap, length, cutoff, bounds, sizes, serials, slots):
 
 
 @jit
-def meeting(lower, upper, of_lower, of_upper, first, last, meets):
-    """Store in `meets` which boxes overlap one of the others, from `first` up to `last` (exclusive).
+def meeting(lower, upper, of_lower, of_upper, starts, meets):
+    """Store in `meets` which boxes overlap a box of a hierarchy.
 
     A common face is no overlap, unless one of the two boxes has zero width along this axis.
+
+    Parameters
+    ----------
+    lower, upper : (B, d) arrays
+    of_lower, of_upper : (N, d) arrays
+        The hierarchy, level by level. Level 0 has the boxes; each box of the next level contains `FAN`
+        consecutive ones.
+    starts : (levels + 1,) int array
+        Where the levels begin, and their end.
+    meets : (B,) bool array
     """
+    top = starts.size - 2
+    nodes, levels = np.empty(FAN * starts.size, np.int64), np.empty(FAN * starts.size, np.int64)
     for b in range(len(lower)):
-        for j in range(first[b], last[b]):
-            if _overlap(lower[b], upper[b], of_lower[j], of_upper[j]):
+        size = 0
+        for node in range(starts[top], starts[top + 1]):
+            nodes[size], levels[size] = node, top
+            size += 1
+        while size > 0:
+            size -= 1
+            node, level = nodes[size], levels[size]
+            if not _overlap(lower[b], upper[b], of_lower[node], of_upper[node], level > 0):
+                continue
+            if level == 0:
                 meets[b] = True
                 break
+            first = starts[level - 1] + (node - starts[level]) * FAN
+            for child in range(first, min(first + FAN, starts[level])):
+                nodes[size], levels[size] = child, level - 1
+                size += 1
 
 
 @jit
-def _overlap(lower, upper, of_lower, of_upper):
+def _overlap(lower, upper, of_lower, of_upper, is_closed):
+    """Tell whether two boxes overlap; closed ones also do if they only have a common face."""
     for c in range(len(lower)):
         low, high = max(lower[c], of_lower[c]), min(upper[c], of_upper[c])
         if low > high:
             return False
-        if low == high and lower[c] < upper[c] and of_lower[c] < of_upper[c]:
+        if low == high and not is_closed and lower[c] < upper[c] and of_lower[c] < of_upper[c]:
             return False
     return True

@@ -187,10 +187,12 @@ def _overlap(lower, upper, of_lower, of_upper):
     return bool(np.where(is_flat, low <= high, low < high).all())
 
 
-def test_boxes_meet_those_with_which_they_share_more_than_a_face():
+@pytest.mark.parametrize(("count", "span"), [(0, 6), (7, 6), (9, 6), (200, 25)])
+def test_boxes_meet_those_with_which_they_share_more_than_a_face(count, span):
+    """Up to `FAN` boxes need no hierarchy."""
     rng = np.random.default_rng(4)
-    for _ in range(200):
-        lower, of_lower = rng.integers(0, 6, (20, 3)), rng.integers(0, 6, (7, 3))
+    for _ in range(40):
+        lower, of_lower = rng.integers(0, span, (20, 3)), rng.integers(0, span, (count, 3))
         boxes = Boxes(lower * 1.0, lower + rng.integers(0, 3, lower.shape) * 1.0)
         others = Boxes(of_lower * 1.0, of_lower + rng.integers(0, 3, of_lower.shape) * 1.0)
         meeting = Confined(others, 1.0).meeting(boxes)

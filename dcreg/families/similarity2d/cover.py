@@ -59,7 +59,8 @@ _SLICES = 256  # minimum number of boxes that the start boxes are divided into; 
 _UNLIMITED = 1e15  # maximum number of boxes tested in a slice if the time is unlimited
 # RMS displacement along the longest edge at which a box is left to the search, in RMS radii of the target
 SMALL = 0.02
-MAX_LEFT = 100_000  # boxes that may be left to the search
+MAX_LEFT = 250_000  # boxes that may be left to the search
+PREDICTED = 0.25  # share of the slices after which the number of these boxes is extrapolated
 BOX_S = 4.3e-9  # nominal seconds per box and point, the same on every machine
 SAMPLED = 0.1  # share of the allowed time that one slice may take, or the first slices together
 
@@ -140,21 +141,22 @@ class NearestCover:
         """
         began, n_tested, kept = budget.elapsed(), 0, []
         limit_s = np.inf if budget.is_counted else allowed_s / self.threads
+        slices = self._slices(cutoff * (1.0 + _MARGIN), allowed_s)
         with stopped_after(limit_s, self._space.stop_flag) as self._stop:
-            for tested, found, is_affordable in self._slices(cutoff * (1.0 + _MARGIN), allowed_s):
+            for tested, found, share, is_affordable in slices:
                 if self._stop[0] or not is_affordable:
                     return None
                 n_tested += tested
                 kept.append(found)
-                if sum(map(len, kept)) > MAX_LEFT:
+                if sum(map(len, kept)) > MAX_LEFT * max(share, PREDICTED):
                     return None
         lower, upper = (
             np.concatenate(parts) for parts in zip(*((b.lower, b.upper) for b in kept), strict=True)
         )
         return Confined(Boxes(lower, upper), cutoff, budget.elapsed() - began, n_tested, self.stage)
 
-    def _slices(self, cutoff: float, allowed_s: float) -> Iterator[tuple[int, Boxes, bool]]:
-        """Yield for each slice the number of boxes tested, the boxes left, and whether to continue."""
+    def _slices(self, cutoff: float, allowed_s: float) -> Iterator[tuple[int, Boxes, float, bool]]:
+        """Yield for each slice the boxes tested and left, the share done, and whether to continue."""
         if self._sides is None:
             self._sides = sides_of(self._space)
         starts, branching = Boxes.of(self._space.roots()), LongestEdge(self._space.axis_weights)
@@ -174,8 +176,9 @@ class NearestCover:
         ):
             self._space.check()
             spent_s += tested * box_s
-            share = min(1.0, SAMPLED + 2.0 * done / len(parts))
-            yield tested, found, is_whole and spent_s <= share * allowed_s
+            share = done / len(parts)
+            is_affordable = spent_s <= min(1.0, SAMPLED + 2.0 * share) * allowed_s
+            yield tested, found, share, is_whole and is_affordable
 
     def _slice(self, start: Boxes, cutoff: float, most: int) -> tuple[int, Boxes, bool]:
         """Return the number of boxes tested, the boxes left, and whether these are complete."""
