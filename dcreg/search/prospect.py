@@ -14,7 +14,7 @@ from dcreg.search.budget import Budget, Interrupted
 ESTIMATED_AFTER_S = 0.25  # seconds of search before the estimate; most searches end earlier
 # ... if only the listener needs the estimate, which costs time
 ESTIMATED_FOR_LISTENER_AFTER_S = 2.0
-MAX_TIME_RATIO = 3.0  # estimated divided by remaining time above which no proof is expected
+MAX_TIME_RATIO = 1.5  # estimated divided by remaining time above which no proof is expected
 FEW_DESCENTS, N_DESCENTS = 16, 128  # of the first part of an estimate, and of both parts
 # Share of the time left that the first part may take; after more, there is no second one.
 ESTIMATE_SHARE = 0.1

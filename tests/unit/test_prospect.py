@@ -83,7 +83,7 @@ def test_the_estimate_from_open_boxes_is_closer(shape, test):
 def test_a_search_is_hopeless_if_it_needs_several_times_what_is_left(
     limits, patience_s, n_nodes, poor
 ):
-    assert MAX_TIME_RATIO == 3.0
+    assert MAX_TIME_RATIO == 1.5
     with Budget(**limits) as budget:
         prospect = Prospect(n_nodes=100_000.0)
         assert prospect.is_poor(n_nodes, 1.0, budget.with_patience(patience_s)) == poor
