@@ -17,7 +17,9 @@
   regression: the remaining runs are no evidence of the contrary.
 - Runs, methods, experiments, counters, gaps and integrals that the head lacks are a regression.
 - Times of records are measured once, on different days. They are compared only on the same machine and
-  are never regressions. Times that were measured in turn (`tests.bench.interleaved`) can be.
+  are never regressions. They are ``unclear`` if the time of another method differs whose declared version
+  is the same in both records: the machine was then busier on one of the days. Times that were measured in
+  turn (`tests.bench.interleaved`) can be regressions.
 
 Only the verdict ``worse`` is a regression.
 """
@@ -27,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -37,6 +40,7 @@ from workflows.recording import Record, read
 from workflows.significance import SIGNIFICANT, exact_p, holm
 from workflows.timing import judge, judge_statuses, judge_work
 
+TIMED_WORDS = ("slower", "faster")  # verdicts on times that were measured once
 SETTINGS = ("options", "n_inliers_ratio", "limits")  # of a method, in a record
 
 
@@ -154,8 +158,37 @@ def regressed(verdicts: pd.DataFrame) -> bool:
     return bool((verdicts["verdict"] == "worse").any())
 
 
-def judge_records(name: str, base: Record, head: Record) -> Iterator[Verdict]:
-    """Yield the verdicts on one experiment; methods with other settings are not compared."""
+def judge_records(name: str, base: Record, head: Record) -> list[Verdict]:
+    """Return the verdicts on one experiment; methods with other settings are not compared."""
+    found = list(_judged_methods(name, base, head))
+    timed = [verdict for verdict in found if verdict.verdict in TIMED_WORDS]
+    same = [verdict for verdict in timed if _same_version(base, head, verdict.method)]
+
+    def allowed_for(verdict: Verdict) -> Verdict:
+        """Return the verdict, or ``unclear`` if the machine explains it."""
+        for other in same if verdict in timed else ():
+            if _card(head, other.method).get("baseline") != _card(head, verdict.method).get(
+                "baseline"
+            ):
+                why = f"{other.method}, which did not change, is {other.verdict} too"
+                return replace(verdict, verdict="unclear", detail=joined(verdict.detail, why))
+        return verdict
+
+    return [allowed_for(verdict) for verdict in found]
+
+
+def _card(record: Record, method: str) -> dict[str, Any]:
+    card: dict[str, Any] = record.about.get("methods", {}).get(method, {})
+    return card
+
+
+def _same_version(base: Record, head: Record, method: str) -> bool:
+    """Whether both records declare the same version of a method."""
+    old, new = (_card(each, method).get("version") for each in (base, head))
+    return old is not None and old == new
+
+
+def _judged_methods(name: str, base: Record, head: Record) -> Iterator[Verdict]:
     for method in dict.fromkeys([*base.runs["method"], *head.runs["method"]]):
         old, new = (each.runs[each.runs["method"] == method] for each in (base, head))
         if new.empty:
@@ -169,7 +202,7 @@ def judge_records(name: str, base: Record, head: Record) -> Iterator[Verdict]:
 
 def _is_deterministic(base: Record, head: Record, method: str) -> bool:
     """Whether the same input always has the same result; so unless a record states otherwise."""
-    cards = (each.about.get("methods", {}).get(method, {}) for each in (base, head))
+    cards = (_card(each, method) for each in (base, head))
     return all(card.get("deterministic") is not False for card in cards)
 
 
@@ -180,7 +213,7 @@ def _runs(experiment: str, method: str, old: int, new: int, verdict: str, detail
 
 def _other_settings(base: Record, head: Record, method: str) -> str:
     """Return which settings of a method differ between two records; empty if none does."""
-    old, new = (each.about.get("methods", {}).get(method, {}) for each in (base, head))
+    old, new = (_card(each, method) for each in (base, head))
     for name in (key for key in SETTINGS if key in old and key in new):
         one, other = old[name], new[name]
         if name == "limits" and one and other:  # a later version may have more of them

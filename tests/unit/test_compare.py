@@ -202,6 +202,34 @@ def test_a_busy_machine_is_not_a_slower_version(base, rng):
     assert verdicts(base, head)["time_solve_s"] == "unclear"
 
 
+@pytest.mark.parametrize(
+    ("factor", "version", "word"),
+    [
+        (3.0, 1, "unclear"),  # an unchanged method takes longer too
+        (1.0, 1, "slower"),
+        (3.0, 2, "slower"),  # the other method may be slower for its own reasons
+    ],
+)
+def test_a_time_is_unclear_if_that_of_an_unchanged_method_differs(base, factor, version, word):
+    other = base.assign(method="icp")
+    head = base.assign(time_solve_s=base["time_solve_s"] * 3)
+    head = pd.concat([head, other.assign(time_solve_s=other["time_solve_s"] * factor)])
+    cards = [
+        {"dcreg": {"baseline": "dcreg", "version": 4 + late},
+         "icp": {"baseline": "icp", "version": version if late else 1}}
+        for late in (0, 1)
+    ]  # fmt: skip
+    records = [
+        recording.Record(runs, {"methods": methods})
+        for runs, methods in zip((pd.concat([base, other]), head), cards, strict=True)
+    ]
+    found = {(v.method, v.metric): v for v in judge_records("e", *records)}
+    assert found["dcreg", "time_solve_s"].verdict == word
+    assert ("icp, which did not change, is slower" in found["dcreg", "time_solve_s"].detail) == (
+        word == "unclear"
+    )
+
+
 def test_integrals_over_boxes_are_judged_as_quality(base):
     head = base.assign(gap_integral_boxes=base["gap_integral_boxes"] * 1.1)
     assert verdicts(base, head)["median gap integral"] == "worse"
