@@ -70,14 +70,14 @@ class Result(Document):
     objective_certified : float
         The same sum at `T_certified`, before the polish.
     n_nodes, n_assignments : int
-        Boxes bounded and exact assignments solved in all stages except the polish. Unless the
-        clock decides, at a time limit or in the time for a proof, both are independent of threads and
-        load, and equal on machines whose floating-point results are equal.
+        Boxes bounded and exact assignments solved in all stages except the polish. Unless elapsed time
+        ends a step (the time limit or the time for a proof), both are independent of threads and load,
+        and equal on machines whose floating-point results are equal.
     time_setup_s, time_solve_s : float
         Wall time of the preparation (validation, normalisation, JIT warm-up) and of the solve.
     time_earlier_s : float
-        The part of `time_solve_s`, and of the times of stages and events, that earlier calls took: those
-        of the same checkpoint. 0 without one.
+        The part of `time_solve_s`, and of the times of stages and events, that earlier calls with the
+        same checkpoint took; 0 without a checkpoint.
     trace : Trace
         Bound history.
     stages : list of Stage
@@ -100,9 +100,9 @@ class Result(Document):
         pairs than true ones are matched. None if the pairs do not determine the pose, or with a range of
         poses.
     open_directions : list of OpenDirection, optional
-        Motions along which the clouds slide on each other, such as those of a plane. The pairs then fit
-        as well, so the covariance does not show them. Empty below 200 target points. None, which means
-        not tested, with a range of poses.
+        Motions along which the clouds slide on each other, such as those of a plane. Other pairs then fit
+        as well, so the covariance does not show these motions. Empty below 200 target points. None, which
+        means not tested, with a range of poses.
     memory_estimate : MemoryEstimate, optional
         The memory that the solve was expected to need.
     warnings : list of str

@@ -133,7 +133,7 @@ class Progress:
             raise Interrupt(number)
         self.stop_requested = True
         # print() is not safe in a signal handler; os.write is
-        os.write(2, b"\nstopping, the best pose is kept (repeat to quit at once)\n")
+        os.write(2, b"\nstopping; the best pose is kept (interrupt again to quit at once)\n")
 
     def _show_waiting(self) -> None:
         """Show the work outside of a search: checks, sampling, proof, and compilation also within one."""

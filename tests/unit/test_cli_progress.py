@@ -131,7 +131,7 @@ def test_interrupt_asks_to_stop_then_quits_and_restores_the_handler():
         assert progress(event()) is False
         signal.raise_signal(signal.SIGINT)
         assert progress(event()) is True
-        with pytest.raises(KeyboardInterrupt, match="nothing is written"):
+        with pytest.raises(KeyboardInterrupt, match="nothing was written"):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -201,7 +201,7 @@ def test_a_search_without_news_is_shown_to_work(monkeypatch):
 
 # --- signals before a search ------------------------------------------------------------------------
 
-NOTHING = "interrupted: no result, and nothing is written"
+NOTHING = "interrupted: there is no result, and nothing was written"
 
 
 def ends_within_2_s(process, number):
