@@ -315,7 +315,7 @@ class Result(Document):
             yield "uncertainty", self._deviations(self.covariance)
         if self.open_directions:
             n = len(self.open_directions)
-            yield "open directions", f"{n}, which these standard deviations do not show"
+            yield "open directions", f"{n}; the standard deviations do not show them"
         if self.score is None:
             yield "runner-up pose", "not known" if self.runner_up is None else str(self.runner_up)
         for warning in self.warnings:

@@ -272,7 +272,7 @@ class RunnerUp:
     rotation_difference_deg : float
         Angle between the two rotations.
     rms_displacement : float
-        RMS distance between the two images of the source, in units of the target.
+        RMS distance between the source points moved by one pose and by the other, in units of the target.
     """
 
     T_target_source: np.ndarray
