@@ -261,8 +261,8 @@ def find_alternatives(
     setup = Setup.of([problem], limits, options)
     if setup.is_sampled:
         raise InputError(
-            "source, target: a sample would be searched and proves nothing about all points; give fewer "
-            "points, such as keypoints, and no downsample"
+            "source, target: clouds of this size are sampled, and a sample proves nothing about all "
+            "points; give fewer points, such as keypoints, and no downsample"
         )
     if setup.mode.in_norm_space:
         raise InputError(

@@ -162,7 +162,7 @@ def max_inliers(
         )
     chosen = SolveOptions.of(options)
     if chosen.certificate:
-        raise InputError("certificate: the question has none; omit it")
+        raise InputError("certificate: max_inliers keeps none; omit it")
     if chosen.downsample is not None:
         raise InputError("downsample: the question refers to all points; omit it")
     chosen.refuse_checkpoint()
