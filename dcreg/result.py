@@ -38,7 +38,7 @@ class Result(Document):
     ----------
     status : Status
     model, mode, bound : str
-        Kind of pose, the mode that ran, and its lower bounding function.
+        Kind of pose, the mode that ran, and its bounding function.
     T_target_source : (d+1, d+1) array
         Final pose after the polish, as a homogeneous matrix:
         ``p_target = T_target_source @ [p_source, 1]``.

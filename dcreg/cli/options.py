@@ -203,7 +203,7 @@ class Search:
         which selects full in 3D. For rigid3d it selects paper instead if --bound is given, for more than
         4,000,000 point pairs, or for a certificate of more than 160,000 point pairs.
     bound : NAME
-        Function that computes lower bounds: {bounds}; 'a+b' takes the maximum of two.
+        Bounding function, which computes the lower bounds: {bounds}; 'a+b' takes the maximum of two.
     start_box : NAME
         Box in which the search starts: {start_boxes}. Both contain every optimum; radius is larger.
     rel_gap : X

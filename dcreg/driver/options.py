@@ -34,8 +34,8 @@ class SolveOptions:
         Search mode, one of `dcreg.mode_names`; default: the library selects it. `Result.mode` gives the
         mode that ran, and `Result.certificate_scope` what its bounds refer to.
     bound : str, optional
-        Lower bounding function, one of `dcreg.bound_names`; ``a+b`` takes the maximum of two. Default:
-        ``tight``. Mode ``full`` has its own bounds and accepts none.
+        Bounding function, which computes the lower bounds, one of `dcreg.bound_names`; ``a+b`` takes the
+        maximum of two. Default: ``tight``. Mode ``full`` has its own bounds and accepts none.
     start_box : {"stationary", "radius"}
         Box in which the search starts; both contain every optimum. ``radius`` follows only from the radii
         of the clouds. ``stationary`` uses the fact that an optimal pose is stationary: its translation is
