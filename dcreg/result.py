@@ -355,7 +355,7 @@ class Result(Document):
             for name, (values, unit) in parts.items()
             if len(values)
         ]
-        return f"standard deviations if the pairs are right: {', '.join(words)} (in the source)"
+        return f"standard deviations if the pairs are right: {', '.join(words)} (in source coordinates)"
 
     def _proven_share(self) -> str:
         """Return what the lower bound proves, in words."""

@@ -177,7 +177,8 @@ class Progress:
 
     def _show_header(self) -> None:
         self.console.print(
-            "pose at: when the best pose was found, to 0.1 %; bounds in squared units of the target\n"
+            "pose at: time of the best pose (objective within 0.1 %); bounds in squared units of the "
+            "target\n"
             "proven: lower bound in % of the upper bound\n"
             "*: better pose since the last line; Ctrl-C stops the search and keeps the best pose",
             highlight=False,

@@ -37,7 +37,7 @@ def test_plain_lines_are_few_aligned_and_end_with_the_last_event():
     events = [event(time_s=i / 100, n_nodes=i + 1, upper=9.0 - i % 2) for i in range(50)]
     events.append(event("end", time_s=0.5, n_nodes=99, lower=0.1, upper=0.125, status="optimal"))
     lines = show(events).splitlines()
-    assert lines[0].startswith("pose at: when the best pose was found")
+    assert lines[0].startswith("pose at: time of the best pose")
     assert lines[1] == "proven: lower bound in % of the upper bound"
     assert lines[2].startswith("*: better pose")
     header, first, last = lines[3:]
