@@ -87,7 +87,7 @@ archive: setup
 snakemake-report: setup
 	@$(BIN)/python -m workflows snakemake-report $(CONFIG)
 
-## publish: write all results, configs and the code of your methods to results/published/VERSION.zip; print how others read it
+## publish: write all results, configs and the code of your methods to results/published/VERSION.zip; print the command that shows them
 .PHONY: publish
 publish: setup
 	@$(BIN)/python -m reports archive --publish --version $(or $(VERSION),mine)
@@ -171,7 +171,7 @@ merge: setup
 million: setup
 	@$(BIN)/python -m workflows.studies.million results/million $(if $(REPORT),--report)
 
-## test-slurm: lose the node of a one-node Slurm in the middle of an experiment and compare with a local run (root; installs Slurm)
+## test-slurm: kill the only node of a Slurm cluster in the middle of an experiment and compare with a local run (root; installs Slurm)
 .PHONY: test-slurm
 test-slurm: dev
 	@$(BIN)/python -m tests.slurm

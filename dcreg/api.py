@@ -84,14 +84,14 @@ def register(
         `abs_gap` as a length, the RMS residual per pair in units of the target:
         ``abs_gap = n_inliers * tol^2``. Only one of the two can be given.
     time_limit : float, optional
-        Seconds for the solve, 60 by default; None or inf: no limit. At the limit the best pose is
-        returned with status ``time_limit``, at most a tenth of the limit and a second later, or several
-        seconds later if the clouds have more than 100,000 points.
+        Seconds for the solve, 60 by default; None or inf: no limit. After the limit, the best pose is
+        returned with status ``time_limit``. The delay is at most a tenth of the limit plus one second, or
+        several seconds if the clouds have more than 100,000 points.
     node_limit : int, optional
         Maximum number of boxes bounded per stage. A round of up to a thousand boxes is completed.
     memory_limit_mb : float, optional
-        Limit on the memory of the open boxes. While their number grows, up to three times as much can be
-        in use.
+        Limit on the memory of the open boxes. While their storage is enlarged, it can take up to three
+        times as much.
     max_rms : float, optional
         Decide whether a pose matches the `n_inliers` pairs with at most this RMS residual, in units of
         the target. The search ends as ``converged`` when such a pose is found, and as ``refuted`` when it
@@ -235,8 +235,8 @@ def register_matches(
 
     Let N be the maximum number of matches that can be selected one-to-one. The cost of a pose with k
     selected matches is the sum of their squared residuals plus ``(N - k) inlier_distance^2``. This
-    cost is minimised. A minimum with k matches also solves the problem of `register` over these feasible
-    pairs with ``n_inliers = k``.
+    cost is minimised. An optimal pose with k matches is also optimal for `register` with the matches as
+    feasible pairs and ``n_inliers = k``.
 
     Poses on which many compatible matches agree are refined first. Branch and bound over the rotation,
     with a nested search for the translation, then certifies the best one as far as the limits allow. Time
@@ -246,8 +246,8 @@ def register_matches(
     ----------
     source, target : (n, 3), (m, 3) arrays
     matches : (N, 2) int array
-        Source row and target row of every match, the most likely ones first; a point may be in several.
-        Initial poses use the first 5,000.
+        Source row and target row of every match, the most likely ones first; a point may be in several
+        matches. Initial poses use the first 5,000 matches.
     inlier_distance : float
         A match with a larger residual counts as wrong. In units of the clouds.
     score : {"correspondences", "surfaces"}

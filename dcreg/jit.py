@@ -43,7 +43,7 @@ try:  # private parts of Numba, which a later version may move
 except ImportError:
     HAS_CACHE = False
     logging.getLogger("dcreg").warning(
-        "numba %s: its compile cache is not supported, so that each process compiles its kernels again; "
+        "numba %s: its compile cache is not supported, so each process compiles its kernels again; "
         "install a version that the requirements of dcreg admit",
         nb.__version__,
     )

@@ -38,7 +38,7 @@ class Result(Document):
     ----------
     status : Status
     model, mode, bound : str
-        Kind of pose, the mode that ran, and its lower bounding function.
+        Kind of pose, the mode that ran, and its bounding function.
     T_target_source : (d+1, d+1) array
         Final pose after the polish, as a homogeneous matrix:
         ``p_target = T_target_source @ [p_source, 1]``.
@@ -70,14 +70,14 @@ class Result(Document):
     objective_certified : float
         The same sum at `T_certified`, before the polish.
     n_nodes, n_assignments : int
-        Boxes bounded and exact assignments solved in all stages except the polish. Unless the
-        clock decides, at a time limit or in the time for a proof, both are independent of threads and
-        load, and equal on machines whose floating-point results are equal.
+        Boxes bounded and exact assignments solved in all stages except the polish. Unless elapsed time
+        ends a step (the time limit or the time for a proof), both are independent of threads and load,
+        and equal on machines whose floating-point results are equal.
     time_setup_s, time_solve_s : float
         Wall time of the preparation (validation, normalisation, JIT warm-up) and of the solve.
     time_earlier_s : float
-        The part of `time_solve_s`, and of the times of stages and events, that earlier calls took: those
-        of the same checkpoint. 0 without one.
+        The part of `time_solve_s`, and of the times of stages and events, that earlier calls with the
+        same checkpoint took; 0 without a checkpoint.
     trace : Trace
         Bound history.
     stages : list of Stage
@@ -100,9 +100,9 @@ class Result(Document):
         pairs than true ones are matched. None if the pairs do not determine the pose, or with a range of
         poses.
     open_directions : list of OpenDirection, optional
-        Motions along which the clouds slide on each other, such as those of a plane. The pairs then fit
-        as well, so the covariance does not show them. Empty below 200 target points. None, which means
-        not tested, with a range of poses.
+        Motions along which the clouds slide on each other, such as those of a plane. Other pairs then fit
+        as well, so the covariance does not show these motions. Empty below 200 target points. None, which
+        means not tested, with a range of poses.
     memory_estimate : MemoryEstimate, optional
         The memory that the solve was expected to need.
     warnings : list of str
@@ -315,7 +315,7 @@ class Result(Document):
             yield "uncertainty", self._deviations(self.covariance)
         if self.open_directions:
             n = len(self.open_directions)
-            yield "open directions", f"{n}, which these standard deviations do not show"
+            yield "open directions", f"{n}; the standard deviations do not show them"
         if self.score is None:
             yield "runner-up pose", "not known" if self.runner_up is None else str(self.runner_up)
         for warning in self.warnings:
@@ -355,7 +355,7 @@ class Result(Document):
             for name, (values, unit) in parts.items()
             if len(values)
         ]
-        return f"standard deviations if the pairs are right: {', '.join(words)} (in the source)"
+        return f"standard deviations if the pairs are right: {', '.join(words)} (in source coordinates)"
 
     def _proven_share(self) -> str:
         """Return what the lower bound proves, in words."""

@@ -156,11 +156,12 @@ class Stage:
             tried = f"distances in {text.count(count, 'box', 'boxes')}"
         if not self.n_boxes:
             return (
-                f"{tried} show that no objective is below {self.outside:.5g}, {self.time_s:.2f} s"
+                f"{tried} prove that no objective is below {self.outside:.5g}, {self.time_s:.2f} s"
             )
         boxes = text.count(self.n_boxes, "box", "boxes")
         return (
-            f"{tried} confine objectives below {self.outside:.5g} to {boxes}, {self.time_s:.2f} s"
+            f"{tried} prove that an optimum below {self.outside:.5g} lies in {boxes}, "
+            f"{self.time_s:.2f} s"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -256,7 +257,7 @@ class ChosenNumber:
                 else "no other number fits nearly as well"
             )
         cut = "; not all poses and numbers were compared" * self.is_cut
-        return f"{near}{cut}\nRMS residual at the pose of the choice, by number of pairs: {shown}"
+        return f"{near}{cut}\nRMS residual at the pose of this choice, by number of pairs: {shown}"
 
 
 @dataclass(frozen=True)
@@ -272,7 +273,7 @@ class RunnerUp:
     rotation_difference_deg : float
         Angle between the two rotations.
     rms_displacement : float
-        RMS distance between the two images of the source, in units of the target.
+        RMS distance between the source points moved by one pose and by the other, in units of the target.
     """
 
     T_target_source: np.ndarray

@@ -12,7 +12,7 @@ class Status(enum.StrEnum):
     OPTIMAL = "optimal"
     #: The method finished without a proof of the optimum; its bounds, if any, are valid.
     CONVERGED = "converged"
-    #: No pose is as good as requested (`max_rms`): proven.
+    #: It is proven that no pose is as good as requested (`max_rms`).
     REFUTED = "refuted"
     #: The caller stopped the run.
     STOPPED = "stopped"

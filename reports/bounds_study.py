@@ -214,8 +214,9 @@ def build(folder: Path) -> Path:
     figures = []
     for name, draw, title, caption in (
         ("boxes", draw_boxes, "Bound value against box width",
-         "Means over the boxes of one width and place. The loss of a bound decreases with the width; a "
-         "steeper line means faster convergence. Exact bounds have no loss and are left out there."),
+         "Means over the boxes of one width that contain the optimum, or lie away from it. The loss of a "
+         "bound decreases with the width; a steeper line means faster convergence. Exact bounds have no "
+         "loss and are omitted from the loss panels."),
         ("searches", draw_searches, "Work to a given gap",
          "Best-first search with every bound, with the same root box, incumbent and branching. A search "
          "ends at a tenth of the tolerance or at the time limit; a marker shows its end."),

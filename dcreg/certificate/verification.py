@@ -108,7 +108,7 @@ def verify(
         Exactly as given to `dcreg.register`.
     max_boxes : int, optional
         The proof of a bound fails after this number of boxes; default 1000 plus 20 per leaf, or 60 for
-        rigid 3D poses. The smaller bound that the tolerance permits is then tried with as many.
+        rigid 3D poses. The smaller bound ``upper_bound - gap_tol`` is then tried with as many.
     n_samples : int
         Number of random parameters that are compared with the bounds of their leaves.
     exact : bool

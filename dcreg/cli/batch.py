@@ -117,7 +117,7 @@ class Batch:
                 f"{self.pairs}: cannot be read ({reason}); give a table of pairs in UTF-8"
             ) from None
         if not rows:
-            raise dcreg.InputError(f"{self.pairs}: holds no pairs; give one per line")
+            raise dcreg.InputError(f"{self.pairs}: contains no pairs; give one per line")
         return rows
 
     def _checked(self, row: Mapping[str, str | None], line: int) -> Row:
@@ -295,5 +295,5 @@ def _write_graph(path: Path, rows: list[Row]) -> None:
         if any(edge is each for each in without):
             output.print_warning(
                 f"{row['source']} {row['target']}: the covariance is missing or singular; the "
-                "information of its edge is the identity"
+                "information matrix of its edge is the identity"
             )

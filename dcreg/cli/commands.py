@@ -77,7 +77,7 @@ def register(
 
     Exit code: 0 finished (optimal or converged); 2 bad input; 3 stopped at a limit or by Ctrl-C, or
     no answer to --max-rms (the best pose is still written); 4 an output file could not be written;
-    6 refuted (it is proven that no pose meets --max-rms).
+    6 refuted (it is proven that no pose fits as well as --max-rms).
     """
     paths = {**outputs.paths, **files.paths}
     read = search.candidates_path, poses.init, *costs.paths
@@ -132,8 +132,8 @@ def sweep(
 ) -> int:
     """Register SOURCE to TARGET for several numbers of pairs and suggest one.
 
-    For each number, the result has a pose and bounds, as from `dcreg register`.
-    The time limit applies to all numbers together, the other limits apply to
+    For each number, the result has a pose and bounds, as in `dcreg register`.
+    The time limit applies to all numbers together; the other limits apply to
     each search. Example:
 
     dcreg sweep a.txt b.txt --model similarity2d --n-inliers 0.5:1.0:0.05 --plot curves.html
@@ -199,9 +199,9 @@ def batch(
     pairs : PAIRS.csv
         Table with the columns source and target, files relative to its folder, and optionally n_inliers.
     n_inliers : K
-        Pairs to match where the table gives no number, as for `dcreg register`.
+        Pairs to match if the table gives no number, as for `dcreg register`.
     drop_invalid : switch
-        Drop points with NaN or infinity.
+        Ignore points with NaN or infinity.
     jobs : N
         Number of processes.
     """
@@ -224,7 +224,7 @@ def verify(
     certificate : CERT
         File written by --certificate.
     exact : switch
-        Also prove both bounds in integers, without any rounding (model similarity2d).
+        Also prove both bounds in integer arithmetic, without rounding (model similarity2d only).
     """
     from dcreg.cli.progress import Progress
 
@@ -245,7 +245,7 @@ def verify(
         return output.EXIT_REFUSED
     if report.is_trivial:
         typer.echo(
-            f"true, but proves nothing: {report.statement}; 0 is a lower bound of every sum of squares. "
+            f"true, but proves nothing: {report.statement}; 0 is a lower bound on every sum of squares. "
             "Register without --abs-gap and --tol, or with more time, for a larger lower bound"
         )
     else:

@@ -10,8 +10,8 @@ from types import FrameType
 from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_NOTHING = "interrupted: no result, and nothing is written"
-_NOT_ALL = "interrupted: the result is printed above, but not all of its files are written"
+_NOTHING = "interrupted: there is no result, and nothing was written"
+_NOT_ALL = "interrupted: the result is printed above, but not all output files were written"
 
 
 class Interrupt(KeyboardInterrupt):

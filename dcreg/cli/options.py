@@ -105,8 +105,8 @@ class CloudFiles:
     target_key : KEY
         Array of an .npz or .mat target, or scan of an .e57 target, from 0.
     drop_invalid : switch
-        Drop points with NaN or infinity. Row numbers still refer to the files, fractions to the points
-        that are left. By default, such points are an error.
+        Ignore points with NaN or infinity; by default, they are an error. Row numbers still refer to the
+        files, fractions to the remaining points.
     """
 
     source: str
@@ -173,10 +173,11 @@ class Goal:
     ----------
     n_inliers : K
         Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
-        a fraction: '1' is one pair, '1.0' is all pairs. By default, the number is chosen by evidence that
-        the result states.
+        a fraction: '1' is one pair, '1.0' all points of the smaller cloud. By default, the library
+        chooses the number, and the result states the evidence.
     max_rms : D
-        Only decide whether a pose matches K pairs with at most this RMS residual, in units of the target.
+        Only decide whether some pose matches K pairs with at most this RMS residual, in units of the
+        target.
     """
 
     n_inliers: str = AUTO
@@ -195,15 +196,16 @@ class Search:
         Admissible scales of a similarity (default 0.5 1.5). Equal numbers fix the scale: 1 1 searches
         rotation and translation only.
     candidates_path : FILE
-        Feasible pairs: two columns, source row and target row, counted from 0. Default: all pairs.
+        File of feasible pairs: two columns, source row and target row, counted from 0. Default: all pairs
+        are feasible.
     mode : NAME
-        Search mode. In 2D: {modes_2d}. In 3D: {modes_3d}; similarity3d only has full. Default: {auto}.
-        In 3D it selects full. For rigid3d it selects paper instead if a bound is given, for more than
-        4,000,000 point pairs, or for a certificate of more than 160,000.
+        Search mode. In 2D: {modes_2d}. In 3D: {modes_3d}; similarity3d only has full. Default: {auto},
+        which selects full in 3D. For rigid3d it selects paper instead if --bound is given, for more than
+        4,000,000 point pairs, or for a certificate of more than 160,000 point pairs.
     bound : NAME
-        Lower bounding function: {bounds}; 'a+b' takes the maximum of two.
+        Bounding function, which computes the lower bounds: {bounds}; 'a+b' takes the maximum of two.
     start_box : NAME
-        Box where the search starts: {start_boxes}. Both contain every optimum; radius is larger.
+        Box in which the search starts: {start_boxes}. Both contain every optimum; radius is larger.
     rel_gap : X
         Gap at which to stop, as a share of the upper bound.
     abs_gap : X
@@ -217,20 +219,20 @@ class Search:
     node_limit : N
         Maximum number of boxes of each search; the last round of boxes may exceed it.
     memory_limit_mb : MB
-        Maximum memory of the open boxes of a search; while their number grows, up to three times as
-        much can be in use. Default: no limit.
+        Maximum memory of the open boxes of a search; while their storage is enlarged, it can take up to
+        three times as much. Default: no limit.
     threads : N
-        Number of threads; default: all processors, at most 8. They change the result only if elapsed
+        Number of threads; default: one per processor, at most 8. It affects the result only if elapsed
         time ends a step of the search.
     polish : switch
         Refine pose and pairs jointly after the certified search.
     prove : switch
-        Search for a proof to the limits. By default, a search in mode full, or of a sample, ends after a
-        few seconds without a proof. Sweeps over all points, and searches with --node-limit, continue to
-        their limits.
+        Continue to the limits in search of a proof. By default, a search in mode full, or of a sample,
+        ends within a few seconds if no proof is found or expected. Sweeps over all points, and searches
+        with --node-limit, always continue to their limits.
     downsample : N
-        Search with at most N points of each cloud (farthest-point sampling after outlier removal), then
-        refine the pose on all points.
+        Search a sample of at most N points of each cloud (farthest-point sampling after outlier removal),
+        then refine the pose on all points.
     """
 
     model: str
@@ -271,15 +273,15 @@ class Poses:
     ----------
     init : POSE
         Initial pose: a matrix as text or .npy, JSON written by dcreg, or one line in KITTI or TUM format.
-        --axis, --max-angle, --max-translation and --no-rotation refer to it. Without any of them, it only
-        gives a first upper bound, and certify rejects it.
+        --axis, --max-angle, --max-translation and --no-rotation refer to it. Without any of these, it
+        only adds a pose from which the search starts, and certify rejects it.
     axis : X,Y,Z
         Only rotations about this axis (3D), in coordinates of the target: 0,0,1 for level scans.
     max_angle : DEG
-        Maximum angle of the rotation relative to the initial pose; without --init, of the rotation.
+        Maximum angle of the rotation, relative to that of --init if it is given.
     max_translation : D
-        Maximum displacement of the centroid of the source, in units of the target, from its position at
-        --init, or else from its position in the file.
+        Maximum displacement of the centroid of the source, in units of the target. It is measured from
+        the position at --init or, without --init, from the position in the file.
     rotation : switch
         Search rotations and translations, or only translations.
     """
@@ -323,10 +325,10 @@ class MatchSearch:
     Attributes
     ----------
     inlier_distance : D
-        Residual above which a match counts as wrong, in units of the target.
+        Matches with a residual above this distance count as wrong; in units of the target.
     score : NAME
-        Criterion for the pose: 'correspondences' is the cost of the matches; 'surfaces' also compares
-        the surfaces of dense scans and gives no bounds.
+        Criterion for the best pose: 'correspondences' is the cost of the matches; 'surfaces' also
+        compares the surfaces of dense scans, without bounds.
     certify : switch
         Run branch and bound to the time limit. By default, it runs for at most 25 seconds with --score
         correspondences, and not at all with --score surfaces.

@@ -133,7 +133,7 @@ class Progress:
             raise Interrupt(number)
         self.stop_requested = True
         # print() is not safe in a signal handler; os.write is
-        os.write(2, b"\nstopping, the best pose is kept (repeat to quit at once)\n")
+        os.write(2, b"\nstopping; the best pose is kept (interrupt again to quit at once)\n")
 
     def _show_waiting(self) -> None:
         """Show the work outside of a search: checks, sampling, proof, and compilation also within one."""
@@ -177,7 +177,8 @@ class Progress:
 
     def _show_header(self) -> None:
         self.console.print(
-            "pose at: when the best pose was found, to 0.1 %; bounds in squared units of the target\n"
+            "pose at: time of the best pose (objective within 0.1 %); bounds in squared units of the "
+            "target\n"
             "proven: lower bound in % of the upper bound\n"
             "*: better pose since the last line; Ctrl-C stops the search and keeps the best pose",
             highlight=False,

@@ -33,8 +33,8 @@ def certify(
     """Judge a given POSE, from any program, as optimal, improvable or open.
 
     The answer is the objective of the pose, a lower bound on the objective of every
-    pose, and a verdict. Optimal: no pose is better by more than the tolerance, which
-    is proven. Improvable: a better pose was found. Open: neither.
+    pose, and a verdict. Optimal: it is proven that no pose is better by more than the
+    tolerance. Improvable: a better pose was found. Open: neither.
 
     Exit code: 0 optimal; 2 bad input; 3 open; 4 an output file could not be written;
     6 improvable.
@@ -119,7 +119,7 @@ class Count:
     time_limit : S
         Seconds of all searches together; inf: no limit.
     threads : N
-        Number of threads; default: all processors, at most 8.
+        Number of threads; default: one per processor, at most 8.
     """
 
     model: str
@@ -142,8 +142,8 @@ def max_inliers(
     """Bound the largest number of one-to-one pairs that a pose can bring within a distance.
 
     The lower bound is the number of pairs at the best pose found. No pose
-    exceeds the upper bound. The answer says whether this was proven by the search
-    or only follows from the number of points.
+    exceeds the upper bound. The answer says whether the search has proven this or
+    whether the upper bound is only the number of points.
 
     Exit code: 0 the bounds agree; 2 bad input; 3 the bounds differ; 4 an
     output file could not be written.

@@ -26,8 +26,8 @@ class CostFiles:
         Length in units of the target: a pair of weight w (at most 1) costs w * residual^2 +
         (1 - w) * D^2. Required unless only one cloud has weights and all its points are matched.
     source_attributes_path : FILE
-        Attributes of the source points, such as intensities: one row of numbers per line, or .npy. Of a
-        .ply or .pcd file the colours (0 to 1) are read, or the intensities if it has no colours.
+        Attributes of the source points, such as intensities: one row of numbers per line, or .npy. From a
+        .ply or .pcd file, the colours (0 to 1) are read or, if there are none, the intensities.
     target_attributes_path : FILE
         Attributes of the target points.
     attribute_scale : S

@@ -276,7 +276,7 @@ def _read(path: Path, identity: dict[str, Any]) -> dict[str, Any]:
         saved = state.pop("identity")
     except Exception as error:  # whatever NumPy, zipfile and json raise for other or damaged files
         raise InputError(
-            f"checkpoint: {path} is no checkpoint, or is damaged ({type(error).__name__}); name "
+            f"checkpoint: {path} is not a checkpoint, or is damaged ({type(error).__name__}); name "
             "another file, or remove a damaged checkpoint to start again"
         ) from None
     for name in identity:

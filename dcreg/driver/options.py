@@ -34,12 +34,12 @@ class SolveOptions:
         Search mode, one of `dcreg.mode_names`; default: the library selects it. `Result.mode` gives the
         mode that ran, and `Result.certificate_scope` what its bounds refer to.
     bound : str, optional
-        Lower bounding function, one of `dcreg.bound_names`; ``a+b`` takes the maximum of two. Default:
-        ``tight``. Mode ``full`` has its own bounds and accepts none.
+        Bounding function, which computes the lower bounds, one of `dcreg.bound_names`; ``a+b`` takes the
+        maximum of two. Default: ``tight``. Mode ``full`` has its own bounds and accepts none.
     start_box : {"stationary", "radius"}
-        Both contain every optimum. ``radius`` follows from the radii of the clouds alone. ``stationary``
-        uses the fact that an optimal pose is stationary: its translation is a difference of means of
-        `n_inliers` points (a single value when all points match).
+        Box in which the search starts; both contain every optimum. ``radius`` follows only from the radii
+        of the clouds. ``stationary`` uses the fact that an optimal pose is stationary: its translation is
+        a difference of means of `n_inliers` points (a single value if all points match).
     threads : int, optional
         Threads of the search; default: one for each processor that the process may use, at most
         `MAX_DEFAULT_THREADS`. With a limit on boxes or assignments they do not change the result.
@@ -69,17 +69,17 @@ class SolveOptions:
     assignment_limit : int, optional
         Maximum number of exact assignments of each search, including those of the initial poses. In
         contrast to a time limit it gives the same result on every machine. The choice of `n_inliers` is
-        not counted; it ends by the time.
+        not counted; only the time limit ends it.
     init : (d+1, d+1) array, optional
-        An initial guess of the pose, from which one more local search starts. It gives an upper bound at
-        once and does not limit the search; see `PoseRange` for that. If the library chooses `n_inliers`,
-        the choice begins with this pose, and the search with the pose chosen.
+        An initial guess of the pose, from which an additional local search starts. It gives an early
+        upper bound and does not restrict the search (`PoseRange` does). If the library chooses
+        `n_inliers`, the choice starts from this pose, and the search from the pose that the choice found.
     checkpoint : path, optional
         A file in which `dcreg.register` saves the state of its search every two minutes and at its end.
         If the file exists, the search continues from it; the problem and the options that change the
-        search must be the same. The time limit counts from now on, `node_limit` and
-        `assignment_limit` count all the work. Not for mode ``paper`` in 3D, nor for a `PoseRange` with
-        a maximum angle or translation.
+        search must be the same. The time limit applies to each call, `node_limit` and
+        `assignment_limit` apply to all calls together. Not available in mode ``paper`` in 3D, nor with a
+        `PoseRange` that has a maximum angle or translation.
     listener : callable, optional
         Called with every `dcreg.Event`. If none occurs for a quarter of a second, it is called with an
         event of kind ``heartbeat`` from another thread. If it returns True, the solve stops with status

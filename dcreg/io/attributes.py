@@ -29,9 +29,9 @@ def read_attributes(path: str | Path) -> np.ndarray:
     Parameters
     ----------
     path : str or Path
-        A ``.txt`` or ``.csv`` file with the same number of values in each line, or a ``.npy`` file. Of a
-        ``.ply`` or ``.pcd`` file the colours of the points, from 0 to 1, are read, or their intensities
-        if there are no colours.
+        A ``.txt`` or ``.csv`` file with the same number of values in each line, or a ``.npy`` file. From
+        a ``.ply`` or ``.pcd`` file, the colours of the points, from 0 to 1, are read or, if there are
+        none, their intensities.
 
     Returns
     -------

@@ -162,7 +162,7 @@ def read_candidates(path: str | Path, n_source: int) -> list[list[int]]:
     Raises
     ------
     InputError
-        If the file cannot be read, holds other values than pairs, or names a row that does not exist.
+        If the file cannot be read, has values that are not pairs, or names a row that does not exist.
     """
     feasible: list[list[int]] = [[] for _ in range(n_source)]
     for i, j in _read_pairs(path, n_source, None).tolist():
@@ -188,7 +188,7 @@ def read_matches(path: str | Path, n_source: int, n_target: int) -> np.ndarray:
     Raises
     ------
     InputError
-        If the file cannot be read, holds other values than pairs, or names a row that does not exist.
+        If the file cannot be read, has values that are not pairs, or names a row that does not exist.
     """
     return _read_pairs(path, n_source, n_target)
 

@@ -52,7 +52,7 @@ def read_pose(path: str | Path) -> np.ndarray:
             T = _of_quaternion(values[1:4], values[4:])
         else:
             raise InputError(
-                f"{values.size} numbers are no pose, which has 8, 9, 12 or 16; {_FORMATS}"
+                f"{values.size} numbers are not a pose, which has 8, 9, 12 or 16; {_FORMATS}"
             )
         d = len(T) - 1
         has_scale = d == 2 or not is_rigid(T)  # rounding is no scale

@@ -284,5 +284,7 @@ def _vector(name: str, values: Any, d: int) -> np.ndarray:
 def _checked_number(name: str, value: Any, such_as: str) -> float:
     is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not is_number or not value >= 0.0:
-        raise InputError(f"{name}: {value!r} is negative or no number; give {such_as}, at least 0")
+        raise InputError(
+            f"{name}: {value!r} is negative or not a number; give {such_as}, at least 0"
+        )
     return float(value)

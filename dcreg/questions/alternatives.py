@@ -58,8 +58,8 @@ class Alternative:
         Axis of this rotation, in coordinates of the target; None in 2D, or if the rotation displaces the
         points by at most `min_displacement`, as for a shift.
     fold : int, optional
-        The rotation is a multiple of a turn by 360 / `fold` degrees, up to `min_displacement`; None if
-        it is not for any number up to `MOST_FOLDS`, or if there is no rotation.
+        The rotation is a multiple of 360 / `fold` degrees, up to `min_displacement`; None if there is no
+        rotation, or no such number up to `MOST_FOLDS`.
     """
 
     T_target_source: np.ndarray
@@ -114,7 +114,7 @@ class Alternatives(Answer):
 
     @property
     def warnings(self) -> list[str]:
-        """Those of the search."""
+        """The warnings of the search."""
         return self.result.warnings
 
     @property
@@ -149,7 +149,7 @@ class Alternatives(Answer):
         yield "answer", self.answer
         yield "distinct if", f"displaced by more than {self.min_displacement:.4g} (RMS)"
         yield "threshold", f"objective {self.threshold:.6g}"
-        bound = f"{self.lower_bound:.6g} of any pose that is not listed"
+        bound = f"{self.lower_bound:.6g} for every distinct pose that is not listed"
         if not self.result.is_exact:
             bound += (
                 f", {self.lower_bound / self.result.upper_bound:.4g} times that of the best pose"
@@ -261,8 +261,8 @@ def find_alternatives(
     setup = Setup.of([problem], limits, options)
     if setup.is_sampled:
         raise InputError(
-            "source, target: a sample would be searched and proves nothing about all points; give fewer "
-            "points, such as keypoints, and no downsample"
+            "source, target: clouds of this size are sampled, and a sample proves nothing about all "
+            "points; give fewer points, such as keypoints, and no downsample"
         )
     if setup.mode.in_norm_space:
         raise InputError(

@@ -60,7 +60,7 @@ class Certified(Answer):
     angle_deg : float
         Angle of the rotation between them.
     result : Result
-        The search, which had the given pose as initial guess.
+        The result of the search, which started from the given pose.
     """
 
     verdict: str
@@ -76,7 +76,7 @@ class Certified(Answer):
 
     @property
     def warnings(self) -> list[str]:
-        """Those of the search."""
+        """The warnings of the search."""
         return self.result.warnings
 
     @property

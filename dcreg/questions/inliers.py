@@ -48,11 +48,11 @@ class MaxInliers(Answer):
     at_least : int
         Number of pairs within the distance at `T_target_source`.
     at_most : int
-        No pose has more.
+        No pose has more pairs within the distance.
     n_possible : int
-        What the numbers of points allow; a smaller `at_most` is proven.
+        The largest number that the points and candidates allow; an `at_most` below it is proven.
     T_target_source : (d+1, d+1) array
-        In the range of poses, also without pairs.
+        The best pose found. It is in the range of poses even if it has no pairs.
     assignment : (at_least, 2) int array
         The pairs: source row and target row.
     tried : list of (int, str)
@@ -91,7 +91,7 @@ class MaxInliers(Answer):
         if self.is_exact:
             return f"exactly {text.count(self.at_least, 'pair')} within {self.distance:g}: proven"
         is_lower = self.at_most < self.n_possible
-        why = "proven" if is_lower else "the most that these points allow; no proof lowered it"
+        why = "proven" if is_lower else "what the points allow; no smaller number was proven"
         return (
             f"{self.at_least} to {text.count(self.at_most, 'pair')} within {self.distance:g} (the upper "
             f"end is {why})"
@@ -120,8 +120,10 @@ def max_inliers(
 ) -> MaxInliers:
     """Bound the largest number of one-to-one pairs that a pose can bring within a distance.
 
-    The lower bound is a pose, the upper bound a proof that no pose has more pairs. The upper bound
-    follows from sums of squares: it is too large if further pairs are only a little too far.
+    The lower bound is the number of pairs at the best pose found. No pose has more pairs than the upper
+    bound, which a search has proven or which is the largest number that the points allow. The proof uses
+    sums of squares, so the upper bound is not tight if the residuals of further pairs are only a little
+    above `distance`.
 
     Parameters
     ----------
@@ -160,7 +162,7 @@ def max_inliers(
         )
     chosen = SolveOptions.of(options)
     if chosen.certificate:
-        raise InputError("certificate: the question has none; omit it")
+        raise InputError("certificate: max_inliers keeps none; omit it")
     if chosen.downsample is not None:
         raise InputError("downsample: the question refers to all points; omit it")
     chosen.refuse_checkpoint()

@@ -41,7 +41,7 @@ class Model:
     Attributes
     ----------
     factors : dict
-        Factor of the time for one standard deviation more of each feature.
+        Factor on the time for an increase of each feature by one standard deviation.
     explained : float
         Share of the variance that all features explain, for the fitted normal distribution.
     n_problems : int
@@ -60,8 +60,9 @@ class Model:
         first, second = order[:2]
         factors = (f"{self.factors[name]:.2g}" for name in (first, second))
         return (
-            f"The best predictor of the time of a proof is {NAMES[first]}: one standard deviation more "
-            f"multiplies the time by {next(factors)}; next is {NAMES[second]} (factor {next(factors)}). "
+            f"The best predictor of the time of a proof is {NAMES[first]}: an increase by one standard "
+            f"deviation multiplies the time by {next(factors)}; next is {NAMES[second]} (factor "
+            f"{next(factors)}). "
             f"Together, {len(self.factors)} features and the model explain {100 * self.explained:.0f} % "
             f"of the variance of log time over {self.n_problems} problems. {self.n_open} searches ended "
             "without a proof; their times count as lower limits."

@@ -176,14 +176,14 @@ def test_a_search_stopped_within_a_round_continues_with_valid_bounds(tmp_path, m
 def test_a_truncated_file_is_refused(stopped, size):
     stopped.write_bytes(stopped.read_bytes()[:size])
     with pytest.raises(
-        dcreg.InputError, match=r"is no checkpoint, or is damaged .*; name another file"
+        dcreg.InputError, match=r"is not a checkpoint, or is damaged .*; name another file"
     ):
         planar(checkpoint=stopped)
 
 
 def test_another_file_is_refused_and_kept(tmp_path):
     (tmp_path / "points.txt").write_text("1 2\n3 4\n")
-    with pytest.raises(dcreg.InputError, match="is no checkpoint"):
+    with pytest.raises(dcreg.InputError, match="is not a checkpoint"):
         planar(checkpoint=tmp_path / "points.txt")
     assert (tmp_path / "points.txt").read_text() == "1 2\n3 4\n"
 

@@ -193,7 +193,7 @@ def test_exit_codes(table, tmp_path, solved, lines, code, shares):
 def test_poses_without_a_covariance_are_named(table, tmp_path, solved):
     outcome = call(table, "--graph", tmp_path / "o.g2o")
     assert outcome.exit_code == 0
-    assert outcome.stderr.count("the information of its edge is the identity") == 2
+    assert outcome.stderr.count("the information matrix of its edge is the identity") == 2
     assert "warning: 0.txt 1.txt: the covariance is missing" in outcome.stderr
 
 
@@ -299,7 +299,7 @@ def test_an_unwritable_graph(table, tmp_path, solved, monkeypatch):
     ("text", "words"),
     [
         ("source,n_inliers\n0.txt,3\n", "no column 'target'; let the first line name the columns"),
-        ("source,target\n", "holds no pairs; give one per line"),
+        ("source,target\n", "contains no pairs; give one per line"),
         ("", "no column 'source'"),
         ("source,target\n0.txt\n", "line 2 has no target; add it"),
         (

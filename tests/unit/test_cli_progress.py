@@ -37,7 +37,7 @@ def test_plain_lines_are_few_aligned_and_end_with_the_last_event():
     events = [event(time_s=i / 100, n_nodes=i + 1, upper=9.0 - i % 2) for i in range(50)]
     events.append(event("end", time_s=0.5, n_nodes=99, lower=0.1, upper=0.125, status="optimal"))
     lines = show(events).splitlines()
-    assert lines[0].startswith("pose at: when the best pose was found")
+    assert lines[0].startswith("pose at: time of the best pose")
     assert lines[1] == "proven: lower bound in % of the upper bound"
     assert lines[2].startswith("*: better pose")
     header, first, last = lines[3:]
@@ -131,7 +131,7 @@ def test_interrupt_asks_to_stop_then_quits_and_restores_the_handler():
         assert progress(event()) is False
         signal.raise_signal(signal.SIGINT)
         assert progress(event()) is True
-        with pytest.raises(KeyboardInterrupt, match="nothing is written"):
+        with pytest.raises(KeyboardInterrupt, match="nothing was written"):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -201,7 +201,7 @@ def test_a_search_without_news_is_shown_to_work(monkeypatch):
 
 # --- signals before a search ------------------------------------------------------------------------
 
-NOTHING = "interrupted: no result, and nothing is written"
+NOTHING = "interrupted: there is no result, and nothing was written"
 
 
 def ends_within_2_s(process, number):

@@ -46,6 +46,7 @@ def test_a_tolerance_above_the_upper_bound():
     assert result.to_dict()["warnings"] == result.warnings
     late = diagnostics.nothing_proven(case(result, *clouds(), status=Status.TIME_LIMIT))
     assert "Increase time_limit" in late  # the tolerance did not end this search
+    assert "another mode" not in late  # similarity2d has one mode
 
 
 def test_in_norm_space_a_bound_of_zero_is_not_optimal():

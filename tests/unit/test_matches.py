@@ -351,7 +351,7 @@ def test_unit_of_length_does_not_matter():
     [
         ({"matches": [[0, 0], [1, 1]]}, "2 different ones; a rigid pose needs 3"),
         ({"matches": [[0, 0], [1, 1], [1, 1]]}, "2 different ones"),
-        ({"matches": [[0, 0], [1, 1], [2, 99]]}, r"\[2.0, 99.0\] in row 2 is no pair of rows"),
+        ({"matches": [[0, 0], [1, 1], [2, 99]]}, r"\[2.0, 99.0\] in row 2 is not a pair of rows"),
         ({"matches": [[0, 0], [1, 0.5], [2, 2]]}, "in row 1"),
         ({"matches": [0, 1, 2]}, r"matches: shape \(3,\)"),
         ({"matches": "abc"}, "matches: not an array"),

@@ -159,7 +159,7 @@ def test_a_shape_without_symmetry_has_one_pose():
     assert found.is_unique
     assert found.lower_bound >= 1.5 * found.result.upper_bound
     words, _, ratio = dict(found.entries())["lower bound"].partition(", ")
-    assert words == f"{found.lower_bound:.6g} of any pose that is not listed"
+    assert words == f"{found.lower_bound:.6g} for every distinct pose that is not listed"
     assert float(ratio.split()[0]) >= 1.5
 
 
@@ -353,7 +353,9 @@ def test_largest_number_of_pairs_is_bracketed():
     assert str(found.at_least) in found.answer
 
 
-@pytest.mark.parametrize(("at_most", "says"), [(19, "is proven"), (20, "no proof lowered it")])
+@pytest.mark.parametrize(
+    ("at_most", "says"), [(19, "is proven"), (20, "no smaller number was proven")]
+)
 def test_a_number_of_points_is_not_called_a_proof(at_most, says):
     answer = dcreg.MaxInliers(0.1, 12, at_most, 20, np.eye(4), np.empty((12, 2), int), [], 1.0)
     assert answer.answer.startswith(f"12 to {at_most} pairs within 0.1")
@@ -441,7 +443,7 @@ def test_poses_of_all_formats_are_the_same(tmp_path, best):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("1 2 3", "3 numbers are no pose"),
+        ("1 2 3", "3 numbers are not a pose"),
         ("1 0 0 x", "could not convert"),
         ("", "0 numbers"),
         ("{}", "JSON without a matrix"),

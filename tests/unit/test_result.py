@@ -69,7 +69,7 @@ def test_the_verdict_states_what_is_certified(changes, words):
 @pytest.mark.parametrize(
     ("deviations", "words"),
     [
-        ([0.01, 0.2, 0.3, 0.0], "rotation 0.573 deg, translation 0.2 0.3 (in the source)"),
+        ([0.01, 0.2, 0.3, 0.0], "rotation 0.573 deg, translation 0.2 0.3 (in source coordinates)"),
         ([0.01, 0.2, 0.3, 0.005], "rotation 0.573 deg, translation 0.2 0.3, scale 0.5 % (in"),
     ],
 )
@@ -244,7 +244,7 @@ def test_columns_of_text():
 
 
 @pytest.mark.parametrize(
-    ("n_boxes", "said"), [(0, "show that no objective is below 2,"), (1, "below 2 to 1 box,")]
+    ("n_boxes", "said"), [(0, "prove that no objective is below 2,"), (1, "below 2 lies in 1 box,")]
 )
 def test_a_cover_says_what_it_excludes(n_boxes, said):
     stage = dcreg.Stage("triples", 0.1, n_tried=7, n_boxes=n_boxes, outside=2.0)

@@ -261,7 +261,7 @@ def test_a_result_states_both(rng):
     stated = result.to_dict()
     assert len(stated["covariance"]) == 6
     assert set(stated["open_directions"][0]) == {"rotation", "translation", "scale", "rise"}
-    assert dict(result.entries())["open directions"].startswith("3, ")
+    assert dict(result.entries())["open directions"].startswith("3; ")
     assert [line for line in result.warnings if "the clouds can slide along 3 directions" in line]
 
 

@@ -67,7 +67,7 @@ def rmse_floor(case: Case) -> float:
 @metric("yes/no", "higher", 0.0, recorded=True)
 def success(case: Case) -> bool:
     """Whether rmse_excess is below 0.05 of the longest side of the target's true inliers or, if the card
-    of the dataset states limits, whether all stated errors are below them."""
+    of the dataset states limits on errors, whether all these errors are below their limits."""
     if case.success_limits:
         errors = {
             "rmse": rmse, "rotation_error_deg": rotation_error_deg,

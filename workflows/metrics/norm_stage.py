@@ -10,9 +10,8 @@ from workflows.metrics.case import Case, metric
 
 @metric("source unit", "lower", np.inf)
 def norm_translation_error(case: Case) -> float:
-    """Error of the translation in norm space, whatever the rotation: the distance between two points, of
-    which the found pose moves one, and the reference pose the other, to the mean of the target; empty
-    in 2D."""
+    """Error of the translation in norm space, independent of the rotation: the distance between the two
+    points that the found pose and the reference pose move to the mean of the target; empty in 2D."""
     if case.dim == 2:
         return float("nan")
     centre = case.target.mean(axis=0)[None]

@@ -150,7 +150,7 @@ def check_matches(matches: np.ndarray, n: int, m: int) -> np.ndarray:
     if bad.any():
         at = int(np.argmax(bad))
         raise InputError(
-            f"matches: {pairs[at].tolist()} in row {at} is no pair of rows; use integers from 0 to "
+            f"matches: {pairs[at].tolist()} in row {at} is not a pair of rows; use integers from 0 to "
             f"{n - 1} and from 0 to {m - 1}"
         )
     _, first = np.unique(pairs, axis=0, return_index=True)

@@ -22,11 +22,11 @@ PAPER = PaperFigure(
     differs=(
         "The paper states neither its levels nor its number of points, time limits, tolerances and start "
         "boxes; ours are in the protocol. More than 0.5 outliers per inlier are beyond its axes.",
-        "DC-Reg (ours) is added. RPM-HTB, RPM-PA and RPM-CAV are our reconstructions.",
-        "RPM-HTB is drawn with a fit to each relaxed matching; whether the original has it is not "
-        "known. The tables also have it without.",
+        "We added DC-Reg (ours). RPM-HTB, RPM-PA and RPM-CAV are our reconstructions.",
+        "RPM-HTB is drawn with a pose fit to each relaxed matching; we do not know whether the original "
+        "does this. The tables also contain RPM-HTB without these fits.",
         "Times are those of our programs on the machine named below; the paper used MATLAB.",
-        "The dashed floor and the bands are added.",
+        "We added the dashed floor and the bands.",
     ),
     experiment="paper2d",
     command="make paper-2d",

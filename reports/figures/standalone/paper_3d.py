@@ -18,12 +18,12 @@ PAPER = PaperFigure(
         "The paper states neither its levels nor its number of points, time limits, tolerances and start "
         "boxes; ours are in the protocol. More than 0.5 outliers per inlier are beyond its axes.",
         "Our reconstruction of HBSP searches the rotation for the translation found. It usually "
-        "ends at the limit, so the times of DC-Reg and of RPM-HTB are mostly its time, not that of the "
-        "published search.",
-        "RPM-HTB is a reconstruction. FRS is our own implementation; that it is the nested search of "
-        "Parra Bustos et al. is our inference.",
-        "RPM-HTB is drawn with a fit to each relaxed matching; whether the original has it is not "
-        "known. The tables also have it without.",
+        "ends at the limit, so DC-Reg and RPM-HTB spend most of their time in this reconstruction, not "
+        "in the published search.",
+        "RPM-HTB is a reconstruction. FRS is our own implementation of the nested search of Parra Bustos "
+        "et al.; we infer that the paper means this search.",
+        "RPM-HTB is drawn with a pose fit to each relaxed matching; we do not know whether the original "
+        "does this. The tables also contain RPM-HTB without these fits.",
         "The paper does not state the correspondences of GORE and TEASER++. Ours come from norm "
         "signatures, or from FPFH where the name says so.",
         "DC-Reg (ours), the dashed floor and the bands are added.",

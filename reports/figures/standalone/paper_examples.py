@@ -24,8 +24,8 @@ DRAWN = clouds.DRAWN
 PAPER = PaperFigure(
     caption="The clouds of the five tests: source and disturbed target of a shape.",
     differs=(
-        "The laws of the deformation and of the outliers are ours, after the programs that the paper "
-        "cites.",
+        "We chose the distributions of the deformation and of the outliers, following the programs that "
+        "the paper cites.",
         "Both clouds are shown at the reference pose.",
     ),
     experiment="paper2d",

@@ -34,7 +34,7 @@ PAPER = PaperFigure(
         "is also matched with its own rotated copy.",
         "The filter width and the number of edge points are ours.",
         "The errors are measured on manually marked points, which no method receives.",
-        "DC-Reg (ours) is added.",
+        "We added DC-Reg (ours).",
     ),
     experiment="paper2d_images",
     command="make paper-2d-images",

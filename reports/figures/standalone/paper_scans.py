@@ -19,7 +19,7 @@ DRAWN = ("mean", "band")
 PAPER = PaperFigure(
     caption="Mean error of six methods against the overlap of two scans, a panel per source of 3DMatch.",
     differs=(
-        "The paper shows five sources. The clouds of three of them are not public, so ours has two.",
+        "The paper shows five sources. The clouds of three are not public, so our figure has two.",
         "The paper states neither the unit of its error nor voxel size, sampling, n_p and bins. Ours are "
         "in the protocol.",
         "The paper does not state the correspondences of GORE and TEASER++. Ours are FPFH matches that "
