@@ -19,6 +19,7 @@ from workflows import CHECKOUT, shown
 from workflows.compose import EMBEDDED, QUICK, TIER, ConfigError, has_quick_part, read
 from workflows.embedded import with_stand_ins
 from workflows.grid import DatasetSettings, Model, check_datasets, check_size, check_tier
+from workflows.idle import idle_limits, idle_points, stops_at_assignments
 from workflows.parts import Part, part_of
 
 CONFIGS = CHECKOUT / "workflows" / "configs"
@@ -219,6 +220,7 @@ def _load(place: Place) -> Experiment:
         settings = settings.model_copy(update={"methods": methods, "vary": {}})
         problems = [
             *_check_labels(settings),
+            *idle_points(settings),
             *check_size(settings.datasets, [method.models for method in settings.methods]),
         ]
     if problems:
@@ -275,11 +277,17 @@ def _check_methods(settings: Experiment) -> Iterable[str]:
         if method.options and not unknown:
             yield from _check_options(key, method)
         try:
-            settings.limits_of(method)
+            yield from (f"{key}.limits.{text}" for text in idle_limits(settings, method))
         except ValidationError as error:
             for problem in error.errors():
                 problem["loc"] = ("limits", *problem["loc"])
                 yield f"{key}.{_explain(problem)}"
+    numbers = [
+        settings.limits.assignments,
+        *(m.limits.get("assignments") for m in settings.methods),
+    ]
+    if settings.limits.safety_s is not None and not any(numbers):
+        yield "limits.safety_s: has no effect without a limit on assignments; remove it"
 
 
 def _with_its_limits(settings: Experiment, method: MethodSettings) -> MethodSettings:
@@ -288,8 +296,7 @@ def _with_its_limits(settings: Experiment, method: MethodSettings) -> MethodSett
     if limits.assignments is None:
         return method
     own: dict[str, float | None] = {"assignments": None}
-    over_matches = method.options.get("front_end") is not None  # DC-Reg then solves none per box
-    if registry.read_card(method.baseline).solves_assignments and not over_matches:
+    if stops_at_assignments(method):
         own = {} if limits.safety_s is None else {"time_s": limits.safety_s}
     return method.model_copy(update={"limits": {**method.limits, **own}})
 

@@ -207,6 +207,53 @@ def test_a_limit_on_assignments_replaces_the_time_limit_of_the_methods_that_stop
     assert settings.limits_of(settings.method("dcreg")).of_run().time_s == 1.0
 
 
+@pytest.mark.parametrize(
+    ("limits", "own", "message"),
+    [
+        (
+            {"safety_s": 9},
+            {},
+            r"limits\.safety_s: has no effect without a limit on assignments; rem",
+        ),
+        ({}, {"dcreg": {"safety_s": 9}}, r"methods\[0\]\.limits\.safety_s: has no effect without"),
+        (
+            {"assignments": 300, "safety_s": 9},
+            {"dcreg": {"time_s": 3}},
+            r"methods\[0\]\.limits\.time_s: safety_s = 9 replaces it; give safety_s instead",
+        ),
+        (
+            {},
+            {"icp": {"assignments": 7}},
+            r"methods\[1\]\.limits\.assignments: has no effect, as icp",
+        ),
+        (
+            {"assignments": 7},
+            {"icp": {"safety_s": 7}},
+            r"methods\[1\]\.limits\.safety_s: has no eff",
+        ),
+    ],
+)
+def test_a_limit_that_would_be_ignored_is_refused(write, limits, own, message):
+    listed = [{**method, "limits": own.get(method["name"], {})} for method in GOOD["methods"]]
+    with pytest.raises(ConfigError, match=message):
+        config.load(write({**GOOD, "limits": limits, "methods": listed}))
+
+
+def test_a_limit_that_the_harness_has_set_is_accepted_again(write):
+    limits = {"time_s": 1, "assignments": 300, "safety_s": 9}
+    once = config.load(write({**GOOD, "limits": limits}))
+    again = config.load(write(once.model_dump(mode="json")))
+    assert again.methods == once.methods
+
+
+@pytest.mark.parametrize("front_end", ["oracle", "shared-mutual"])
+def test_fewer_points_with_pairs_of_all_points_are_refused(write, front_end):
+    listed = [{"name": "few", "baseline": "ransac", "n_points": 20}]
+    content = {**GOOD, "methods": listed, "vary": {"front_end": [front_end]}}
+    with pytest.raises(ConfigError, match=f"few-{front_end}: n_points: front_end {front_end} has"):
+        config.load(write(content))
+
+
 def test_limits_of_a_run_are_those_of_its_settings():
     assert LimitSettings(time_s=3, memory_mb=500, threads=2, assignments=9).of_run() == Limits(
         3, None, 500, 2, 9
