@@ -358,7 +358,7 @@ def test_levels_with_a_failed_run_are_dotted_on_the_page_and_in_print(tables, st
 def test_levels_are_named_with_their_unit(flat):
     titles = {panel.x_title for panel in flat.grid.panels}
     assert titles == {
-        "deformation, in longest sides", "noise σ, in longest sides", "outliers per inlier, each set",
+        "coefficient of the deformation", "noise σ, in longest sides", "outliers per inlier, each set",
     }  # fmt: skip
 
 
