@@ -320,10 +320,10 @@ def _varied(settings: Experiment) -> Iterable[MethodSettings]:
 def _takes(method: MethodSettings, key: str) -> bool:
     card = registry.read_card(method.baseline)
     if key == "n_inliers_ratio":
-        return card.uses_n_inliers and key not in method.model_fields_set
-    if card.parameters.get(key) is None or key in method.options:
-        return False
-    return key not in registry.idle_options(method.baseline, method.options)
+        has_it = card.uses_n_inliers and key not in method.model_fields_set
+    else:
+        has_it = card.parameters.get(key) is not None and key not in method.options
+    return has_it and key not in registry.idle_options(method.baseline, method.options)
 
 
 def _with_setting(method: MethodSettings, key: str, value: float | str) -> MethodSettings:

@@ -179,7 +179,12 @@ def test_quick_parts_have_the_instances_that_a_verdict_needs(name):
 @pytest.mark.parametrize("name", ["paper2d", "paper2d_cr", "paper2d_images", "paper3d"])
 def test_rivals_that_receive_a_number_of_pairs_also_run_with_half_of_it(name):
     methods = load(name).methods
-    counted = {m.baseline for m in methods if registry.read_card(m.baseline).uses_n_inliers}
+    counted = {
+        m.baseline
+        for m in methods
+        if registry.read_card(m.baseline).uses_n_inliers
+        and "n_inliers_ratio" not in registry.idle_options(m.baseline, m.options)
+    }
     assert {m.baseline for m in methods if m.n_inliers_ratio == 0.5} == counted
 
 
@@ -336,6 +341,18 @@ def test_an_option_that_does_nothing_is_neither_taken_nor_varied(write):
     )
     with pytest.raises(ConfigError, match=message):
         config.load(write({**GOOD, "methods": listed}))
+
+
+def test_a_number_of_pairs_that_only_chooses_among_poses_is_not_varied_for_one_pose(write):
+    listed = [
+        {"name": starts, "baseline": "kiss_icp", "options": {"starts": starts}}
+        for starts in ("identity", "multi")
+    ]
+    content = {**GOOD, "methods": [*listed, {"name": "cpd", "baseline": "cpd"}]}
+    content["datasets"] = [{**GOOD["datasets"][0], "shapes": ["pony"]}]
+    varied = config.load(write({**content, "vary": {"n_inliers_ratio": [0.5]}})).methods
+    names = ["identity", "multi-n_inliers_ratio0.5", "cpd-n_inliers_ratio0.5"]
+    assert [method.name for method in varied] == names
 
 
 def test_settings_are_varied_one_at_a_time_for_the_methods_that_take_them(write):
