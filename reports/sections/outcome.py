@@ -87,8 +87,10 @@ def sentence(matrix: Matrix, styles: dict[str, Style]) -> str:
     cell = matrix.rows[matrix.standing(BEST)[0]][first]
     among = "" if all(cells[first].standing for cells in matrix.rows.values()) else AMONG
     verb = "has" if len(best) == 1 else "have"
+    compared = [cells[first] for cells in matrix.rows.values() if cells[first].standing]
+    some = " of those with the most runs" * any(each.runs < cell.runs for each in compared)
     found = (
-        f"{matrix.model}: {among}{listed(best)} {verb} the highest success rate, "
+        f"{matrix.model}: {among}{listed(best)} {verb} the highest success rate{some}, "
         f"{share(cell.share, *cell.interval)} of {cell.runs} runs"
     )
     if tied:
