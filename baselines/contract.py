@@ -263,8 +263,7 @@ class Baseline(abc.ABC):
         """Return the options without effect under the other options, each with the reason.
 
         A method that receives one of them is refused, since reports would show a value that had no
-        effect. Overrides read ``self.options`` only: the call precedes the checks of a subclass. The name
-        ``n_inliers_ratio`` stands for the given number of pairs.
+        effect. Overrides read ``self.options`` only: the call precedes the checks of a subclass.
         """
         if self.options.get("threshold") == "paper":
             return {"noise_factor": "with threshold: paper"}

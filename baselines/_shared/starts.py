@@ -42,11 +42,6 @@ def check_choice(method: Baseline, option: str, choices: tuple[str, ...]) -> str
     return str(value)
 
 
-def idle_prior(starts: str) -> dict[str, str]:
-    """Return that `n_inliers`, which only chooses among initial poses, has no effect if there is one."""
-    return {} if starts == "multi" else {"n_inliers_ratio": "with one initial pose"}
-
-
 def start_poses(instance: Instance, starts: str) -> list[np.ndarray]:
     """Return the list named `starts` for this instance; see the module."""
     low, high = instance.scale_range

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from baselines._shared.poses import rigid_pose, unit_of
-from baselines._shared.starts import STARTS, best_of_starts, check_choice, idle_prior
+from baselines._shared.prior import idle_prior
+from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 from dcreg.search import Budget
 
