@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.ledger.evidence import QUICK, Evidence, Experiment, Role
+from reports.ledger.evidence import Evidence, Experiment, Role
 from reports.ledger.intervals import Estimate, Extremes
 from reports.theme import words
+from workflows.compose import QUICK
 
 Parameters = Mapping[str, Any]
 GROUPING = ("test", "level")  # the default of ``by``

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.ledger.evidence import QUICK, STUDY, Evidence
+from reports.ledger.evidence import STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
 from reports.pairs import pair_rows
 from reports.standing import BEST, FEW, TIED, WORSE, Matrix, matrices
 from reports.tables import PENALTY, Tables, counted_time, is_right, share_interval
 from reports.theme import Style, integer, listed, share, words
+from workflows.compose import QUICK
 from workflows.metrics.errors import SUCCESS_SHARE
 from workflows.outcomes import OUTCOMES, STARTED, attempted, comparable_times, main_machine
 from workflows.stages.evaluate import success_limits
