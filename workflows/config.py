@@ -220,7 +220,11 @@ def _load(place: Place) -> Experiment:
         settings = settings.model_copy(update={"methods": methods, "vary": {}})
         problems = [
             *_check_labels(settings),
-            *idle_points(settings),
+            *(
+                f"method {each.name}: {text}"
+                for each in methods
+                if (text := idle_points(each.baseline, each.options, each.n_points))
+            ),
             *check_size(settings.datasets, [method.models for method in settings.methods]),
         ]
     if problems:
@@ -277,16 +281,18 @@ def _check_methods(settings: Experiment) -> Iterable[str]:
         if method.options and not unknown:
             yield from _check_options(key, method)
         try:
-            yield from (f"{key}.limits.{text}" for text in idle_limits(settings, method))
+            limits = settings.limits_of(method).model_dump()
+            stops = stops_at_assignments(method.baseline, method.options)
+            for text in idle_limits(method.limits, limits, stops=stops):
+                yield f"{key}.limits.{text}"
         except ValidationError as error:
             for problem in error.errors():
                 problem["loc"] = ("limits", *problem["loc"])
                 yield f"{key}.{_explain(problem)}"
-    numbers = [
-        settings.limits.assignments,
-        *(m.limits.get("assignments") for m in settings.methods),
-    ]
-    if settings.limits.safety_s is not None and not any(numbers):
+    has_limit = settings.limits.assignments or any(
+        m.limits.get("assignments") for m in settings.methods
+    )
+    if settings.limits.safety_s is not None and not has_limit:
         yield "limits.safety_s: has no effect without a limit on assignments; remove it"
 
 
@@ -296,7 +302,7 @@ def _with_its_limits(settings: Experiment, method: MethodSettings) -> MethodSett
     if limits.assignments is None:
         return method
     own: dict[str, float | None] = {"assignments": None}
-    if stops_at_assignments(method):
+    if stops_at_assignments(method.baseline, method.options):
         own = {} if limits.safety_s is None else {"time_s": limits.safety_s}
     return method.model_copy(update={"limits": {**method.limits, **own}})
 

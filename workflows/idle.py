@@ -2,45 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 from baselines import registry
 
-if TYPE_CHECKING:
-    from workflows.config import Experiment, MethodSettings
 
-
-def stops_at_assignments(method: MethodSettings) -> bool:
+def stops_at_assignments(baseline: str, options: Mapping[str, Any]) -> bool:
     """Whether a method stops at the limit `assignments`; DC-Reg over matches solves none per box."""
-    over_matches = method.options.get("front_end") is not None
-    return registry.read_card(method.baseline).solves_assignments and not over_matches
+    over_matches = options.get("front_end") is not None
+    return registry.read_card(baseline).solves_assignments and not over_matches
 
 
-def idle_limits(settings: Experiment, method: MethodSettings) -> Iterable[str]:
-    """Yield limits of a method that would be ignored or replaced, and why."""
-    given = {key for key, value in method.limits.items() if value is not None}
-    limits = settings.limits_of(method)
-    if not stops_at_assignments(method):
+def idle_limits(
+    own: Mapping[str, Any], all_of_it: Mapping[str, Any], *, stops: bool
+) -> Iterable[str]:
+    """Yield limits of a method that would be ignored or replaced, and why.
+
+    Parameters
+    ----------
+    own, all_of_it : mapping
+        The limits that the method sets, and all that would apply to it.
+    stops : bool
+        Whether it stops at a number of assignments.
+    """
+    given = {key for key, value in own.items() if value is not None}
+    safety_s = all_of_it["safety_s"]
+    if not stops:
         for key in sorted(given & {"assignments", "safety_s"}):
-            yield f"{key}: has no effect, as {method.name} stops at no number of assignments; remove it"
-    elif limits.assignments is None and "safety_s" in given:
-        yield "safety_s: has no effect without a limit on assignments; give time_s instead"
-    elif (
-        limits.assignments is not None
-        and "time_s" in given
-        and limits.safety_s not in (None, limits.time_s)
-    ):
-        yield f"time_s: safety_s = {limits.safety_s:g} replaces it; give safety_s instead"
+            yield f"{key}: has no effect, as the method stops at no number of assignments; remove it"
+    elif all_of_it["assignments"] is None:
+        if "safety_s" in given:
+            yield "safety_s: has no effect without a limit on assignments; give time_s instead"
+    elif "time_s" in given and safety_s not in (None, own["time_s"]):
+        yield f"time_s: safety_s = {safety_s:g} replaces it; give safety_s instead"
 
 
-def idle_points(settings: Experiment) -> Iterable[str]:
-    """Yield methods that receive fewer points, but pairs of all points."""
-    for method in settings.methods:
-        options = registry.effective_options(method.baseline, method.options)
-        front_end = str(options.get("front_end"))
-        if method.n_points is not None and front_end.startswith(("oracle", "shared-")):
-            yield (
-                f"method {method.name}: n_points: front_end {front_end} has pairs of all points; "
-                "remove one of the two"
-            )
+def idle_points(baseline: str, options: Mapping[str, Any], n_points: int | None) -> str:
+    """Return why a method cannot receive fewer points: it receives pairs of all; empty if it can."""
+    front_end = str(registry.effective_options(baseline, dict(options)).get("front_end"))
+    if n_points is None or not front_end.startswith(("oracle", "shared-")):
+        return ""
+    return f"n_points: front_end {front_end} has pairs of all points; remove one of the two"

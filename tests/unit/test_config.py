@@ -229,7 +229,7 @@ def test_a_limit_on_assignments_replaces_the_time_limit_of_the_methods_that_stop
         (
             {},
             {"icp": {"assignments": 7}},
-            r"methods\[1\]\.limits\.assignments: has no effect, as icp",
+            r"methods\[1\]\.limits\.assignments: has no effect, as the",
         ),
         (
             {"assignments": 7},
