@@ -220,11 +220,7 @@ def _load(place: Place) -> Experiment:
         settings = settings.model_copy(update={"methods": methods, "vary": {}})
         problems = [
             *_check_labels(settings),
-            *(
-                f"method {each.name}: {text}"
-                for each in methods
-                if (text := idle_points(each.baseline, each.options, each.n_points))
-            ),
+            *(t for m in methods for t in idle_points(m.name, m.baseline, m.options, m.n_points)),
             *check_size(settings.datasets, [method.models for method in settings.methods]),
         ]
     if problems:

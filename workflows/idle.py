@@ -38,9 +38,13 @@ def idle_limits(
         yield f"time_s: safety_s = {safety_s:g} replaces it; give safety_s instead"
 
 
-def idle_points(baseline: str, options: Mapping[str, Any], n_points: int | None) -> str:
-    """Return why a method cannot receive fewer points: it receives pairs of all; empty if it can."""
+def idle_points(
+    name: str, baseline: str, options: Mapping[str, Any], n_points: int | None
+) -> Iterable[str]:
+    """Yield that a method cannot receive fewer points, because it receives pairs of all of them."""
     front_end = str(registry.effective_options(baseline, dict(options)).get("front_end"))
-    if n_points is None or not front_end.startswith(("oracle", "shared-")):
-        return ""
-    return f"n_points: front_end {front_end} has pairs of all points; remove one of the two"
+    if n_points is not None and front_end.startswith(("oracle", "shared-")):
+        yield (
+            f"method {name}: n_points: front_end {front_end} has pairs of all points; remove one of "
+            "the two"
+        )
