@@ -14,6 +14,7 @@ import pandas as pd
 from dcreg.files import whole_file
 from reports import measured, templating, theme
 from reports.archive import read
+from reports.ledger.evidence import NO_POSE
 from reports.measured import Measured
 from reports.tables import ReportError, Tables
 from workflows import CHECKOUT, archives
@@ -63,7 +64,7 @@ def render(found: Measured, origin: dict[str, Any]) -> str:
         certified_wrong=measured.certified_wrong(found),
         facts=_facts(found.runs),
         threshold=SUCCESS_SHARE,
-        no_pose=f"{measured.NO_POSE_ERROR:g}",
+        no_pose=f"{NO_POSE:g}",
         small=f"{100 * measured.SMALL:g} %",
         coverage=f"{100 * measured.COVERAGE:g} %",
     )

@@ -17,6 +17,7 @@ import pandas as pd
 from baselines import registry
 from dcreg.names import NORM_SCOPES, POSE_SCOPES
 from reports import theme
+from reports.ledger.evidence import NO_POSE
 from reports.tables import COVERAGE, Tables, share_interval
 from reports.theme import MISSING, integer, number, words
 from workflows.hashing import digest
@@ -27,7 +28,6 @@ DRAWS = 4000
 MOST_COUNTS = 10_000_000  # of a bootstrap, in double precision at the same time
 SMALL = 0.02  # relative: searches stop at about the same limit on assignments
 SEED = 20260326
-NO_POSE_ERROR = 1.0  # error of a run without a pose, in longest sides
 OURS = "ours"
 # Searches of a method itself: as its paper states it, and where parts of it are choices of this project.
 STATED, RECONSTRUCTED = "its own (Algorithm 1)", "its own (reconstructed)"
@@ -101,7 +101,7 @@ class Measured:
 
     def __post_init__(self) -> None:
         runs = self.runs
-        error = runs["rmse_over_scale"].fillna(NO_POSE_ERROR)
+        error = runs["rmse_over_scale"].fillna(NO_POSE)
         of_pose = runs["certificate_scope"].isin(POSE_SCOPES)
         object.__setattr__(
             self,

@@ -18,10 +18,10 @@ BEST, TIED, FEW, WORSE = "best", "tied", "few", "worse"
 class Cell:
     """The right runs of one method on one test.
 
-    `standing` is `BEST` for the highest success rate, `TIED` for methods with a lower one that are not
-    significantly worse, `FEW` if there are too few instances for any difference to be significant,
-    `WORSE` for all others. It is empty for methods that receive the true pairs or attempted fewer than
-    half of the instances, and where no two methods are compared.
+    `standing` is `BEST` for the highest success rate of the methods that attempted the most instances,
+    `TIED` for others that are not significantly worse, `FEW` if there are too few instances for any
+    difference to be significant, `WORSE` for all others. It is empty for methods that receive the true
+    pairs or attempted fewer than half of the instances, and where no two methods are compared.
     """
 
     right: int
@@ -116,7 +116,11 @@ def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
 
 
 def _p_value(best: pd.Series, other: pd.Series) -> float:
-    """Return the p-value of McNemar's exact test on the instances that both attempted."""
+    """Return the p-value of McNemar's exact test on the instances that both attempted.
+
+    It is 1 if the other method, which may have attempted fewer instances, is not behind on them.
+    """
     both = best.notna() & other.notna()
     best, other = best[both].astype(bool), other[both].astype(bool)
-    return float(exact_p((best & ~other).sum(), (~best & other).sum()))
+    wins, losses = (best & ~other).sum(), (~best & other).sum()
+    return float(exact_p(wins, losses)) if wins > losses else 1.0

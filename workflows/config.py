@@ -19,6 +19,7 @@ from workflows import CHECKOUT, shown
 from workflows.compose import EMBEDDED, QUICK, TIER, ConfigError, has_quick_part, read
 from workflows.embedded import with_stand_ins
 from workflows.grid import DatasetSettings, Model, check_datasets, check_size, check_tier
+from workflows.idle import idle_limits, idle_points, stops_at_assignments
 from workflows.parts import Part, part_of
 
 CONFIGS = CHECKOUT / "workflows" / "configs"
@@ -219,6 +220,7 @@ def _load(place: Place) -> Experiment:
         settings = settings.model_copy(update={"methods": methods, "vary": {}})
         problems = [
             *_check_labels(settings),
+            *(t for m in methods for t in idle_points(m.name, m.baseline, m.options, m.n_points)),
             *check_size(settings.datasets, [method.models for method in settings.methods]),
         ]
     if problems:
@@ -275,11 +277,19 @@ def _check_methods(settings: Experiment) -> Iterable[str]:
         if method.options and not unknown:
             yield from _check_options(key, method)
         try:
-            settings.limits_of(method)
+            limits = settings.limits_of(method).model_dump()
+            stops = stops_at_assignments(method.baseline, method.options)
+            for text in idle_limits(method.limits, limits, stops=stops):
+                yield f"{key}.limits.{text}"
         except ValidationError as error:
             for problem in error.errors():
                 problem["loc"] = ("limits", *problem["loc"])
                 yield f"{key}.{_explain(problem)}"
+    has_limit = settings.limits.assignments or any(
+        m.limits.get("assignments") for m in settings.methods
+    )
+    if settings.limits.safety_s is not None and not has_limit:
+        yield "limits.safety_s: has no effect without a limit on assignments; remove it"
 
 
 def _with_its_limits(settings: Experiment, method: MethodSettings) -> MethodSettings:
@@ -288,8 +298,7 @@ def _with_its_limits(settings: Experiment, method: MethodSettings) -> MethodSett
     if limits.assignments is None:
         return method
     own: dict[str, float | None] = {"assignments": None}
-    over_matches = method.options.get("front_end") is not None  # DC-Reg then solves none per box
-    if registry.read_card(method.baseline).solves_assignments and not over_matches:
+    if stops_at_assignments(method.baseline, method.options):
         own = {} if limits.safety_s is None else {"time_s": limits.safety_s}
     return method.model_copy(update={"limits": {**method.limits, **own}})
 
@@ -313,10 +322,10 @@ def _varied(settings: Experiment) -> Iterable[MethodSettings]:
 def _takes(method: MethodSettings, key: str) -> bool:
     card = registry.read_card(method.baseline)
     if key == "n_inliers_ratio":
-        return card.uses_n_inliers and key not in method.model_fields_set
-    if card.parameters.get(key) is None or key in method.options:
-        return False
-    return key not in registry.idle_options(method.baseline, method.options)
+        has_it = card.uses_n_inliers and key not in method.model_fields_set
+    else:
+        has_it = card.parameters.get(key) is not None and key not in method.options
+    return has_it and key not in registry.idle_options(method.baseline, method.options)
 
 
 def _with_setting(method: MethodSettings, key: str, value: float | str) -> MethodSettings:

@@ -143,7 +143,7 @@ def occlusion_outliers(
 _RATIOS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 _SMALL = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05)
 DISTURBANCES: dict[str, Disturbance] = {
-    "deformation": Disturbance(deformation, _SMALL, "deformation, in longest sides"),
+    "deformation": Disturbance(deformation, _SMALL, "coefficient of the deformation"),
     "noise": Disturbance(noise, _SMALL, "noise σ, in longest sides"),
     "mixed_outliers": Disturbance(mixed_outliers, _RATIOS, "outliers per inlier, each set"),
     "separate_outliers": Disturbance(separate_outliers, _RATIOS, "outliers per inlier, each set"),

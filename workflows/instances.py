@@ -34,6 +34,19 @@ class Problem:
     noise_bound: float
     matches: dict[str, np.ndarray] = field(default_factory=dict)
 
+    def lacks_points(self, n_inliers_ratio: float) -> str:
+        """Return why the clouds are too small for this share of the pairs; empty if they are not."""
+        most, wanted = (
+            min(len(self.source), len(self.target)),
+            n_inliers_ratio * self.n_inliers_prior,
+        )
+        if int(wanted) <= most:  # half a pair too many is rounding
+            return ""
+        return (
+            f"n_inliers: {n_inliers_ratio:g} × {self.n_inliers_prior} pairs exceed the {most} points of "
+            "the smaller cloud"
+        )
+
     def for_solver(
         self, n_inliers_ratio: float, experiment_seed: int, n_points: int | None = None
     ) -> Instance:

@@ -20,6 +20,7 @@ from dcreg.status import Status
 
 OVER_MATCHES = ("max_pairs", "certify", "score")  # options of `dcreg.register_matches`
 OVER_POINTS = ("bound", "mode", "polish", "prove")  # of `dcreg.register`
+OF_BOUNDS = ("rel_gap", "abs_gap")
 
 
 class Adapter(Baseline):
@@ -58,6 +59,8 @@ class Adapter(Baseline):
             idle = dict.fromkeys(OVER_MATCHES, "without a front_end")
         else:
             idle = dict.fromkeys(OVER_POINTS, "with a front_end")
+            if self.options["certify"] is False or self.options["score"] != SCORES[0]:
+                idle |= dict.fromkeys(OF_BOUNDS, "without bounds")
         return {**super().idle_options(), **idle}
 
     def supports(self, instance: Instance) -> str | None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from baselines._shared import open3d_clouds
 from baselines._shared.poses import rigid_pose, unit_of
+from baselines._shared.prior import idle_prior
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 from dcreg.search import Budget
@@ -19,6 +20,9 @@ class Adapter(Baseline):
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
         self.starts = check_choice(self, "starts", STARTS)
+
+    def idle_options(self) -> dict[str, str]:
+        return super().idle_options() | idle_prior(self.options["starts"])
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         import open3d

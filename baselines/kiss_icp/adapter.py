@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from baselines._shared.poses import rigid_pose, unit_of
+from baselines._shared.prior import idle_prior
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 from dcreg.search import Budget
@@ -18,6 +19,9 @@ class Adapter(Baseline):
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
         self.starts = check_choice(self, "starts", STARTS)
+
+    def idle_options(self) -> dict[str, str]:
+        return super().idle_options() | idle_prior(self.options["starts"])
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         from kiss_icp.mapping import VoxelHashMap

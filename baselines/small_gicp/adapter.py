@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from baselines._shared.poses import rigid_pose, unit_of
+from baselines._shared.prior import idle_prior
 from baselines._shared.starts import STARTS, best_of_starts, check_choice
 from baselines.contract import Baseline, Card, Instance, Limits, Solution
 from dcreg.search import Budget
@@ -24,7 +25,7 @@ class Adapter(Baseline):
         idle = super().idle_options()
         if self.options["variant"] == "ICP":
             idle["neighbours"] = "with variant: ICP"
-        return idle
+        return idle | idle_prior(self.options["starts"])
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:
         import small_gicp

@@ -40,8 +40,15 @@ def register_match_problem(
 ) -> Result:
     """Solve a problem over matches; see `dcreg.register_matches`."""
     began = time.perf_counter()
-    if replace(options, listener=None) != SolveOptions():
-        raise InputError("options: registration over matches has one mode; set only the listener")
+    default = SolveOptions()
+    given = [
+        option.name for option in fields(options)
+        if option.name != "listener" and not _is_default(options, default, option.name)
+    ]  # fmt: skip
+    if given:
+        raise InputError(
+            f"options: {', '.join(given)} do not apply to matches, which have one mode; set only the listener"
+        )
     limits.check(problem.max_cardinality)
     patience_s = None if certify else PATIENCE_S
     certify = _certified(score, certify)

@@ -162,11 +162,12 @@ def _work_to_equal_gap(
 def regret(source: Source, p: Parameters) -> Finding:
     """Share of the instances certified by a reference whose optimum the subject reaches.
 
-    It is reached within the tolerances of both. More time could turn a miss at a limit into a hit, but
-    no hit into a miss.
+    It is reached within the tolerances of both. A run without a pose is a miss. More time could turn a
+    miss at a limit into a hit, but no hit into a miss.
     """
     finding = Finding("share within the tolerance")
-    for name, runs in source.runs(p["subject"], p, finding):
+    for name, own in source.runs(p["subject"], p, finding):
+        runs = own.assign(objective=own["objective"].mask(own["verdict"].eq("no_pose"), np.inf))
         for against, theirs in source.runs(p["reference"], p, finding):
             both = paired(runs, theirs[theirs["certified"]], "objective")
             allowed = both["gap_tol"].fillna(0.0) + both["gap_tol_rival"]

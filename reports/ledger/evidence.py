@@ -17,10 +17,10 @@ import pandas as pd
 from dcreg.names import POSE_SCOPES
 from reports.tables import Tables, check_study
 from workflows.blocks import EVIDENCE
+from workflows.compose import QUICK
 from workflows.outcomes import attempted, main_machine
 
 STUDY = "bounds"  # has no planned runs: its tables are next to those of the experiments
-QUICK = "-quick"
 _TIER = re.compile(rf"-(\d+)(?:{QUICK})?$")  # experiments with another number of points
 # Long texts of runs that no check reads.
 UNUSED = ["T_target_source", "options", "message", "chunk_id", "instance_digest", "fingerprint"]

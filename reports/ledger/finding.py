@@ -11,20 +11,22 @@ of the verdict); and ``cannot_refute`` (why a figure on the other side leaves th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from reports.ledger.evidence import QUICK, Evidence, Experiment, Role
+from reports.ledger.evidence import Evidence, Experiment, Role
 from reports.ledger.intervals import Estimate, Extremes
 from reports.theme import words
+from workflows.compose import QUICK
 
 Parameters = Mapping[str, Any]
 GROUPING = ("test", "level")  # the default of ``by``
 # Quantities of which a run at a limit shows only the minimum.
 WORK = ("time", "n_nodes", "n_assignments", "translation_time", "translation_nodes")
+FEWER_POINTS = "searches of fewer points than in the whole experiment take less time"
 # Quantity -> the least that it can be (`Experiment.runs`), and whether a limit cut it.
 LEAST = {"time": "translation_time"}
 SHARED = ["dataset", "shape", "trial"]  # identify the same trial at different levels
@@ -68,6 +70,7 @@ class Part:
     runs: Mapping[str, bool] = field(default_factory=dict)  # run_id -> whether it ended at a limit
     shown_only: bool = False
     cannot_refute: str = ""  # why the figure can reproduce a claim only
+    cannot_show: str = ""  # why it can refute a claim only
 
 
 @dataclass
@@ -175,10 +178,13 @@ def find(source: Source, p: Parameters) -> Finding:
     finding = CHECKS[p["kind"]](source, p)
     finding.of_any = bool(p.get("any"))
     if p.get("shown_only"):
-        finding.parts = [Part(**{**vars(part), "shown_only": True}) for part in finding.parts]
+        finding.parts = [replace(part, shown_only=True) for part in finding.parts]
         finding.missing = []
     if reason := p.get("cannot_refute"):
-        finding.parts = [Part(**{**vars(part), "cannot_refute": reason}) for part in finding.parts]
+        finding.parts = [replace(part, cannot_refute=reason) for part in finding.parts]
+    is_part = source.experiment is not None and source.experiment.variables
+    if is_part and p["kind"] == "value" and p.get("quantity") in WORK:
+        finding.parts = [replace(part, cannot_show=FEWER_POINTS) for part in finding.parts]
     return finding
 
 

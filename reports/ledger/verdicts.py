@@ -141,6 +141,8 @@ def decide(findings: Sequence[Finding], *, quick: bool) -> list[list[Decided]]:
             why = _why(part, level)
         if verdict == NOT and part.cannot_refute:
             verdict, why = OPEN, part.cannot_refute
+        if verdict == REPRODUCED and part.cannot_show:
+            verdict, why = OPEN, part.cannot_show
         decided.append(Decided(part, verdict, level, why))
     ends = iter(decided)
     return [agreed(finding, [next(ends) for _ in finding.parts]) for finding in findings]

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.ledger.evidence import QUICK, STUDY, Evidence
+from reports.ledger.evidence import STUDY, Evidence
 from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
 from reports.pairs import pair_rows
 from reports.standing import BEST, FEW, TIED, WORSE, Matrix, matrices
 from reports.tables import PENALTY, Tables, counted_time, is_right, share_interval
 from reports.theme import Style, integer, listed, share, words
+from workflows.compose import QUICK
 from workflows.metrics.errors import SUCCESS_SHARE
 from workflows.outcomes import OUTCOMES, STARTED, attempted, comparable_times, main_machine
 from workflows.stages.evaluate import success_limits
@@ -87,8 +88,10 @@ def sentence(matrix: Matrix, styles: dict[str, Style]) -> str:
     cell = matrix.rows[matrix.standing(BEST)[0]][first]
     among = "" if all(cells[first].standing for cells in matrix.rows.values()) else AMONG
     verb = "has" if len(best) == 1 else "have"
+    compared = [cells[first] for cells in matrix.rows.values() if cells[first].standing]
+    some = " of those with the most runs" * any(each.runs < cell.runs for each in compared)
     found = (
-        f"{matrix.model}: {among}{listed(best)} {verb} the highest success rate, "
+        f"{matrix.model}: {among}{listed(best)} {verb} the highest success rate{some}, "
         f"{share(cell.share, *cell.interval)} of {cell.runs} runs"
     )
     if tied:

@@ -63,6 +63,8 @@ BAD_OPTIONS = [  # the contract tests try an unknown option and -1 with every me
     ("dcreg", {**SHARED, "bound": "tight"}, "no effect with a front_end"),
     ("dcreg", {**SHARED, "mode": "full"}, "no effect with a front_end"),
     ("dcreg", {**SHARED, "polish": False}, "no effect with a front_end"),
+    ("dcreg", {**SHARED, "certify": False, "rel_gap": 0.1}, "no effect without bounds"),
+    ("dcreg", {**SHARED, "score": "surfaces", "abs_gap": 0.1}, "no effect without bounds"),
     ("dcreg", {**SHARED, "score": "nonsense"}, "option score = 'nonsense'"),
     ("dcreg", {**SHARED, "score": "surfaces", "certify": True},
      "score = 'surfaces' has no bounds: leave certify out"),

@@ -210,6 +210,9 @@ def test_checks_of_closed_searches_leave_the_others_out():
     ours.loc[ours["trial"] < 10, ["status", "objective"]] = "time_limit", 0.1
     of_all = {**REGRET, "by": ["model"]}
     assert figures(of_all, ours, runs_of("paper", objective=1.05)) == [(1.0, 60)]
+    failed = runs_of("paper", objective=1.05)
+    failed.loc[failed["trial"] >= 20, ["verdict", "objective"]] = "no_pose", np.nan
+    assert figures(of_all, ours, failed) == [(0.5, 60)]
 
 
 def test_optima_below_the_tolerance_do_not_count_for_bounds():

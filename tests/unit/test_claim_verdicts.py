@@ -238,6 +238,19 @@ def test_a_figure_that_cannot_refute_leaves_the_claim_open():
     assert "the paper's tolerance is not known" in found.reason
 
 
+def test_a_short_time_for_fewer_points_leaves_the_claim_open():
+    check = {
+        "kind": "value", "quantity": "time", "statistic": "median", "methods": ["dcreg_paper"],
+        "claimed": {"at_most": 10},
+    }  # fmt: skip
+    assert judged(evidence(runs_of("paper")), check).verdict == REPRODUCED
+    fewer = judged(evidence(runs_of("paper"), name="paper2d-40"), check)
+    assert fewer.verdict == OPEN
+    assert "searches of fewer points" in fewer.reason
+    slow = runs_of("paper", time_solve_s=20.0)
+    assert judged(evidence(slow, name="paper2d-40"), check).verdict == NOT
+
+
 def test_times_of_other_machines_are_not_used(tmp_path):
     tables = Tables.load(write_tables(tmp_path / "tables"))
     runs = tables.runs.copy()

@@ -179,7 +179,12 @@ def test_quick_parts_have_the_instances_that_a_verdict_needs(name):
 @pytest.mark.parametrize("name", ["paper2d", "paper2d_cr", "paper2d_images", "paper3d"])
 def test_rivals_that_receive_a_number_of_pairs_also_run_with_half_of_it(name):
     methods = load(name).methods
-    counted = {m.baseline for m in methods if registry.read_card(m.baseline).uses_n_inliers}
+    counted = {
+        m.baseline
+        for m in methods
+        if registry.read_card(m.baseline).uses_n_inliers
+        and "n_inliers_ratio" not in registry.idle_options(m.baseline, m.options)
+    }
     assert {m.baseline for m in methods if m.n_inliers_ratio == 0.5} == counted
 
 
@@ -205,6 +210,53 @@ def test_a_limit_on_assignments_replaces_the_time_limit_of_the_methods_that_stop
     del limits["safety_s"]
     settings = config.load(write({**GOOD, "limits": limits}))
     assert settings.limits_of(settings.method("dcreg")).of_run().time_s == 1.0
+
+
+@pytest.mark.parametrize(
+    ("limits", "own", "message"),
+    [
+        (
+            {"safety_s": 9},
+            {},
+            r"limits\.safety_s: has no effect without a limit on assignments; rem",
+        ),
+        ({}, {"dcreg": {"safety_s": 9}}, r"methods\[0\]\.limits\.safety_s: has no effect without"),
+        (
+            {"assignments": 300, "safety_s": 9},
+            {"dcreg": {"time_s": 3}},
+            r"methods\[0\]\.limits\.time_s: safety_s = 9 replaces it; give safety_s instead",
+        ),
+        (
+            {},
+            {"icp": {"assignments": 7}},
+            r"methods\[1\]\.limits\.assignments: has no effect, as the",
+        ),
+        (
+            {"assignments": 7},
+            {"icp": {"safety_s": 7}},
+            r"methods\[1\]\.limits\.safety_s: has no eff",
+        ),
+    ],
+)
+def test_a_limit_that_would_be_ignored_is_refused(write, limits, own, message):
+    listed = [{**method, "limits": own.get(method["name"], {})} for method in GOOD["methods"]]
+    with pytest.raises(ConfigError, match=message):
+        config.load(write({**GOOD, "limits": limits, "methods": listed}))
+
+
+def test_a_limit_that_the_harness_has_set_is_accepted_again(write):
+    limits = {"time_s": 1, "assignments": 300, "safety_s": 9}
+    once = config.load(write({**GOOD, "limits": limits}))
+    again = config.load(write(once.model_dump(mode="json")))
+    assert again.methods == once.methods
+
+
+@pytest.mark.parametrize("front_end", ["oracle", "shared-mutual"])
+def test_fewer_points_with_pairs_of_all_points_are_refused(write, front_end):
+    listed = [{"name": "few", "baseline": "ransac", "n_points": 20}]
+    content = {**GOOD, "methods": listed, "vary": {"front_end": [front_end]}}
+    with pytest.raises(ConfigError, match=f"few-{front_end}: n_points: front_end {front_end} has"):
+        config.load(write(content))
 
 
 def test_limits_of_a_run_are_those_of_its_settings():
@@ -289,6 +341,18 @@ def test_an_option_that_does_nothing_is_neither_taken_nor_varied(write):
     )
     with pytest.raises(ConfigError, match=message):
         config.load(write({**GOOD, "methods": listed}))
+
+
+def test_a_number_of_pairs_that_only_chooses_among_poses_is_not_varied_for_one_pose(write):
+    listed = [
+        {"name": starts, "baseline": "kiss_icp", "options": {"starts": starts}}
+        for starts in ("identity", "multi")
+    ]
+    content = {**GOOD, "methods": [*listed, {"name": "cpd", "baseline": "cpd"}]}
+    content["datasets"] = [{**GOOD["datasets"][0], "shapes": ["pony"]}]
+    varied = config.load(write({**content, "vary": {"n_inliers_ratio": [0.5]}})).methods
+    names = ["identity", "multi-n_inliers_ratio0.5", "cpd-n_inliers_ratio0.5"]
+    assert [method.name for method in varied] == names
 
 
 def test_settings_are_varied_one_at_a_time_for_the_methods_that_take_them(write):

@@ -11,6 +11,7 @@ import pytest
 from baselines.contract import Instance
 from dcreg.status import Status
 from workflows import UserError, outcomes, records
+from workflows.config import Experiment
 from workflows.hashing import digest_arrays
 from workflows.instances import (
     Problem,
@@ -24,7 +25,7 @@ from workflows.instances import (
 from workflows.integrity import SUMS, sealed
 from workflows.outcomes import OUTCOMES
 from workflows.stages.aggregate import accounting
-from workflows.stages.solve import forget
+from workflows.stages.solve import forget, solve
 
 
 def test_a_table_survives_parquet_and_csv(tmp_path):
@@ -136,6 +137,21 @@ def test_truths_come_back_and_are_in_no_file_of_instances(problems, tmp_path, rn
 @pytest.mark.parametrize(("ratio", "expected"), [(1.0, 7), (0.5, 4), (0.01, 1), (2.0, 7)])
 def test_the_prior_is_a_rounded_share_within_what_can_be_matched(problems, ratio, expected):
     assert problems[1].for_solver(ratio, 0).n_inliers == expected
+
+
+def test_a_method_is_not_run_with_a_prior_of_more_pairs_than_points(problems, tmp_path):
+    experiment = Experiment(
+        name="more",
+        datasets=[{"dataset": "embedded", "tests": {"noise": [0.01]}}],
+        methods=[{"name": "icp", "baseline": "icp", "n_inliers_ratio": 1.5}],
+    )
+    write_problems(tmp_path / "i.npz", [problems[1]])
+    said, out = [], tmp_path / "runs" / "chunk.parquet"
+    solve(experiment, experiment.methods[0], tmp_path / "i.npz", out, said.append)
+    (row,) = pd.read_parquet(out).to_dict("records")
+    assert row["status"] == "unsupported"
+    assert "n_inliers: 1.5 × 7 pairs exceed the 7 points of the smaller cloud" in row["message"]
+    assert problems[1].lacks_points(1.5 / 1.4) == ""  # 7.5 pairs: rounding
 
 
 def test_the_content_digest_sees_every_change(problems):

@@ -358,7 +358,7 @@ def test_levels_with_a_failed_run_are_dotted_on_the_page_and_in_print(tables, st
 def test_levels_are_named_with_their_unit(flat):
     titles = {panel.x_title for panel in flat.grid.panels}
     assert titles == {
-        "deformation, in longest sides", "noise σ, in longest sides", "outliers per inlier, each set",
+        "coefficient of the deformation", "noise σ, in longest sides", "outliers per inlier, each set",
     }  # fmt: skip
 
 
@@ -433,6 +433,8 @@ def test_methods_are_compared_with_the_best_on_common_instances(tables):
     assert compared("1" * 6, "1" * 5 + "0", "0" * 6)["bilinear"].standing == "few"
     assert compared("1" * 10, "----" + "1" * 5 + "0")["dcreg-half"].standing == "tied"
     assert compared("1" * 10, "-----" + "1" * 4 + "0")["dcreg-half"].standing == "few"
+    # one that attempted fewer instances can be better on them
+    assert compared("0" * 12 + "1" * 8, "1" * 12 + "-" * 8)["dcreg-half"].standing == "tied"
 
 
 def test_the_outcome_says_where_too_few_instances_decide_nothing(tables, styles):
@@ -445,6 +447,10 @@ def test_the_outcome_says_where_too_few_instances_decide_nothing(tables, styles)
         f"; there are too few instances to say whether {styles['fgr'].name} is worse."
     )
     assert "not significantly" not in said
+    assert "highest success rate, 100 %" in said
+    cells["fgr"] = {"noise": standing.Cell(1, 1, "tied")}
+    said = outcome.sentence(standing.Matrix("rigid3d", ["noise"], cells), styles)
+    assert "highest success rate of those with the most runs, 100 %" in said
 
 
 def test_the_page_repeats_a_run_of_earlier_tables(tables):

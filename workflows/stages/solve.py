@@ -11,7 +11,7 @@ import json
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +45,12 @@ def solve(
     The ground truth is read only for methods with the oracle front end, which receive its pairs among
     random ones.
     """
+    problems = read_problems(instances_path)
     instances = [
         problem.for_solver(method.n_inliers_ratio, experiment.seed, method.n_points)
-        for problem in read_problems(instances_path)
+        for problem in problems
     ]
+    refused = {each.instance_id: each.lacks_points(method.n_inliers_ratio) for each in problems}
     outliers = registry.oracle_outliers(method.baseline, method.options)
     if outliers is not None and truth_path is not None:
         truths = read_truths(truth_path)
@@ -56,7 +58,7 @@ def solve(
     runs_path.parent.mkdir(parents=True, exist_ok=True)
     title = f"solve     {method.name:<16} {runs_path.stem:<14}"
     start = time.monotonic()
-    rows = list(_rows(experiment, method, instances, runs_path))
+    rows = list(_rows(experiment, method, instances, runs_path, refused))
     counts = Counter(row["status"] for row in rows)
     ended = ", ".join(f"{count} {status}" for status, count in counts.most_common())
     say(f"{title} {len(rows)} runs: {ended}; {time.monotonic() - start:.1f} s")
@@ -90,9 +92,13 @@ def forget(runs_folder: Path, statuses: set[str]) -> int:
 
 
 def _rows(
-    experiment: Experiment, method: MethodSettings, instances: list[Instance], runs_path: Path
+    experiment: Experiment,
+    method: MethodSettings,
+    instances: list[Instance],
+    runs_path: Path,
+    refused: Mapping[str, str],
 ) -> Iterator[dict[str, Any]]:
-    """Yield a row per instance, in order: from a journal, or solved now."""
+    """Yield a row per instance, in order: from a journal, solved now, or `refused` with the reason."""
     constant = {
         "fingerprint": registry.fingerprint(method.baseline),
         "machine_id": provenance.machine_card()["machine_id"],
@@ -121,6 +127,9 @@ def _rows(
                 "seed": instance.seed,
                 **constant,
             }
+            if reason := refused[instance.instance_id]:
+                yield {**identity, **_plain({"status": Status.UNSUPPORTED, "message": reason}, 0.0)}
+                continue
             if row := finished.get(key_of(identity)):
                 yield row
                 continue

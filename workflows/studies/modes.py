@@ -21,8 +21,8 @@ from data.contract import RawInstance
 from data.registry import dataset
 from workflows.disturb import make_instance
 from workflows.metrics import Case
+from workflows.metrics.errors import SUCCESS_SHARE
 
-RIGHT = 0.05  # error above the floor, in longest sides of the prototype
 TESTS = {
     "deformation": (0.02, 0.05),
     "noise": (0.02, 0.05),
@@ -135,7 +135,7 @@ def _solved(problem: Labelled, mode: str, limit: float) -> dict[str, object]:
         "status": str(result.status),
         "n_inliers": k,
         "error": error,
-        "right": error < RIGHT,
+        "right": error < SUCCESS_SHARE,
         "value": judged.objective,
         "reference_value": judged.objective_true,
         "certified": str(result.status) == "optimal",

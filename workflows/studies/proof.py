@@ -28,7 +28,8 @@ from data.registry import dataset
 from dcreg.status import Status
 from workflows.disturb import make_instance
 from workflows.metrics import Case
-from workflows.studies.modes import RIGHT, SHAPES, TESTS
+from workflows.metrics.errors import SUCCESS_SHARE
+from workflows.studies.modes import SHAPES, TESTS
 
 MOMENTS_S = 3.0, 5.0, 10.0, 60.0
 QUARTER = 0.24  # minimum L/U, lower divided by upper bound, of a useful bound: about a quarter
@@ -170,7 +171,7 @@ def _solved(
     )  # fmt: skip
     return {
         "status": result.status.value,
-        "right": judged.rmse_excess < RIGHT,
+        "right": judged.rmse_excess < SUCCESS_SHARE,
         "time_s": spent,
         "proved_s": spent if result.status is Status.OPTIMAL else np.inf,
         "n_nodes": result.n_nodes,
