@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -40,14 +41,11 @@ def register_match_problem(
 ) -> Result:
     """Solve a problem over matches; see `dcreg.register_matches`."""
     began = time.perf_counter()
-    default = SolveOptions()
-    given = [
-        option.name for option in fields(options)
-        if option.name != "listener" and not _is_default(options, default, option.name)
-    ]  # fmt: skip
+    defaults = vars(SolveOptions()) | {"listener": options.listener}
+    given = [name for name, value in vars(options).items() if _differs(value, defaults[name])]
     if given:
         raise InputError(
-            f"options: {', '.join(given)} do not apply to matches, which have one mode; set only the listener"
+            f"options: registration over matches ignores {', '.join(given)}; set only the listener"
         )
     limits.check(problem.max_cardinality)
     patience_s = None if certify else PATIENCE_S
@@ -57,6 +55,11 @@ def register_match_problem(
     with limits.budget(options, options.listener) as budget:
         patient = budget.with_patience(patience_s)
         return _solved(problem, score, certify, limits, patient, setup)
+
+
+def _differs(value: Any, default: Any) -> bool:
+    """Whether an option is not the default, which is never an array."""
+    return value is not default and (isinstance(value, np.ndarray) or value != default)
 
 
 def _certified(score: str, certify: bool | None) -> bool:

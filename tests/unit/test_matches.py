@@ -366,3 +366,13 @@ def test_bad_input_is_named(change, message):
     given = {"source": points, "target": points, "matches": [[0, 0], [1, 1], [2, 2]]}
     with pytest.raises(dcreg.InputError, match=message):
         dcreg.register_matches(**{**given, "inlier_distance": 0.1, **change})
+
+
+@pytest.mark.parametrize(("name", "value"), [("init", np.eye(4)), ("threads", 2)])
+def test_an_option_without_effect_is_refused_by_name(name, value):
+    points = np.random.default_rng(0).standard_normal((9, 3))
+    with pytest.raises(dcreg.InputError, match=f"ignores {name}; set only the listener"):
+        dcreg.register_matches(
+            points, points, np.tile(np.arange(9), (2, 1)).T, inlier_distance=0.1,
+            options=dcreg.SolveOptions(**{name: value}),
+        )  # fmt: skip
