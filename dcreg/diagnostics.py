@@ -270,11 +270,13 @@ def slide_warning(result: Result, remedy: str) -> str | None:
 
 
 def other_size(case: Case) -> str | None:
-    """One cloud is much larger than the other."""
+    """One cloud is much larger than the other, and the scale of the pose does not explain it."""
     source, target = rms_radius(case.problem.source), rms_radius(case.problem.target)
-    smaller, larger = sorted((source, target))
-    if larger < _OTHER_SIZE * smaller or larger == 0.0:
-        return None
+    scale = 1.0 if scale_at_limit(case) else case.result.scale
+    for size in (source, scale * source):
+        smaller, larger = sorted((size, target))
+        if larger < _OTHER_SIZE * smaller or larger == 0.0:
+            return None
     return (
         f"the sizes of the clouds differ by a factor of 10 or more (RMS radii: source {source:.3g}, "
         f"target {target:.3g}). If their units differ, rescale one cloud; otherwise crop the larger one"

@@ -265,8 +265,7 @@ class Result(Document):
         """Yield names and values of the `summary`; every warning is an entry of that name."""
         scope = self.certificate_scope
         yield "status", self._verdict(scope)
-        rows = (" ".join(f"{x:>14.8g}" for x in row) for row in self.T_target_source)
-        yield "T_target_source", "\n".join(rows)
+        yield "T_target_source", text.pose(self.T_target_source)
         yield "scale", f"{self.scale:.6g}"
         yield "rotation", f"{self.rotation_deg:.4f} deg"
         yield "RMSE of pairs", f"{self.rmse_matched:.6g} over {text.count(self.n_inliers, 'pair')}"

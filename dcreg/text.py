@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 _ROUNDING = 1e-6  # in thousandths: a computed 99 % is not 98.9 %
 
@@ -46,6 +46,25 @@ def listing(entries: Sequence[tuple[str, str]]) -> str:
         first, *rest = text.split("\n")
         lines += [f"{name:<{width}}{first}", *(" " * width + line for line in rest)]
     return "\n".join(lines)
+
+
+def pose(matrix: Iterable[Sequence[float]]) -> str:
+    """Return the rows of a pose, with more digits if the coordinates are large, as those of maps are.
+
+    Otherwise rounding would move the points by more than their residuals.
+
+    Examples
+    --------
+    >>> print(pose([[1.0, 0.0, 0.25], [0.0, 1.0, 4500000.0625], [0.0, 0.0, 1.0]]))
+                     1                  0               0.25
+                     0                  1       4500000.0625
+                     0                  0                  1
+    """
+    rows = [list(row) for row in matrix]
+    farthest = max(abs(row[-1]) for row in rows)
+    extra = math.ceil(math.log10(farthest)) - 3 if math.isfinite(farthest) else 0
+    digits = min(max(8, 8 + extra), 17)
+    return "\n".join(" ".join(f"{x:>{digits + 6}.{digits}g}" for x in row) for row in rows)
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[str] = ()) -> str:

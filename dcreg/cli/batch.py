@@ -108,7 +108,7 @@ class Batch:
             if missing := {"source", "target"}.difference(reader.fieldnames or ()):
                 raise dcreg.InputError(
                     f"{self.pairs}: no column '{min(missing)}'; let the first line name the columns "
-                    "source, target and, if wanted, n_inliers"
+                    "'source', 'target' and, if wanted, 'n_inliers'"
                 )
             rows = [self._checked(row, reader.line_num) for row in reader]
         except (OSError, UnicodeDecodeError, csv.Error) as error:

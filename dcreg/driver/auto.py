@@ -28,6 +28,7 @@ from typing import Any
 
 import numpy as np
 
+from dcreg import text
 from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import greedy_count
 from dcreg.driver.checks import norms_only
@@ -107,6 +108,7 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
             warnings=[
                 *choice_warnings(result.n_inliers, chosen, setup.problems),
                 *_left_pose(choice, pose, result),
+                *few_sampled_pairs(result),
                 *result.warnings,
             ],
         )
@@ -166,6 +168,17 @@ def _left_pose(choice: _Choice, pose: np.ndarray | None, result: Result) -> Iter
         yield (
             f"n_inliers={result.n_inliers} was chosen at a clearly different pose, which the search then "
             f"left for a better one. {_REMEDY}"
+        )
+
+
+def few_sampled_pairs(result: Result) -> Iterator[str]:
+    """Yield a warning if the pairs of the sample determine no pose, so that its bounds mean little."""
+    sample, dim = result.downsampled, len(result.translation)
+    if sample is not None and sample.n_inliers <= dim and sample.n_inliers < result.n_inliers:
+        yield (
+            f"the sample has only {text.count(sample.n_inliers, 'pair')} of {result.n_inliers}, which "
+            "fit at many poses: the bounds say nothing about this pose. Search a larger sample "
+            "(downsample, or --downsample)"
         )
 
 

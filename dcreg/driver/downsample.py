@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -30,6 +31,9 @@ ALL_POINTS = "all points"  # the stage in which the pose of a sample is refined
 # Share of the time for the search of a sample; the rest is for refining its pose on all points.
 SEARCH_SHARE = 0.8
 LEAST_SHARE = 0.3  # of huge clouds within a short limit
+# By dimension: pairs that a sample has at least if one cloud is much larger than the other. In 2D they
+# just determine a pose, because larger samples take much longer.
+ENOUGH_PAIRS = {2: 4, 3: 30}
 
 
 def to_search(
@@ -49,7 +53,7 @@ def to_search(
     problems : sequence of Problem
         Fewest pairs first.
     downsample : int, optional
-        Points of each cloud at most; default: `default_sample` of the first problem where no mode is
+        Points of each cloud at most; default: `default_sample` of the last problem where no mode is
         asked for, else all.
     mode, bound, certificate
         As asked for.
@@ -60,7 +64,7 @@ def to_search(
     """
     first = problems[0]
     if downsample is None and mode is None:
-        downsample = default_sample(first, bound, certificate)
+        downsample = default_sample(problems[-1], bound, certificate)
     if downsample is None:
         return problems
     _check(downsample, first, certificate)
@@ -82,8 +86,14 @@ def _check_pairs(problem: Problem, n_inliers: int, downsample: int) -> None:
     if n_inliers <= problem.dim and n_inliers < problem.n_inliers:
         raise InputError(
             f"downsample: {downsample} points leave {text.count(n_inliers, 'pair')} of "
-            f"{problem.n_inliers}, which determine no pose; give a larger number, such as 200"
+            f"{problem.n_inliers}, which determine no pose; give at least "
+            f"{_points_for(problem.dim + 2, problem)} points, or match more pairs"
         )
+
+
+def _points_for(n_pairs: int, problem: Problem) -> int:
+    """Return how many points of each cloud leave a sample of so many pairs."""
+    return math.ceil(n_pairs * max(len(problem.source), len(problem.target)) / problem.n_inliers)
 
 
 def _check(count: int, problem: Problem, certificate: bool) -> None:
@@ -103,16 +113,20 @@ def _check(count: int, problem: Problem, certificate: bool) -> None:
 def default_sample(problem: Problem, bound: str | None, certificate: bool) -> int | None:
     """Return the number of points to search with; None: all.
 
-    A sample of large clouds gives a better pose than all points.
+    A sample of large clouds gives a better pose than all points. If one cloud is much larger, its sample
+    has more points: otherwise few of the smaller cloud have a partner.
     """
     n, m = len(problem.source), len(problem.target)
     free = bound is None and not certificate and problem.candidates is problem.weights is None
+    smaller, largest = min(n, m), LARGE_PAIRS[problem.dim]
     # a small cloud is not sampled to match a large one: that would leave it few partners
-    is_lopsided = problem.dim == 3 and n * m <= NORM_PAIRS
-    pairs = min(n, m) ** 2 if is_lopsided else n * m
-    if not free or pairs <= LARGE_PAIRS[problem.dim]:
+    is_lopsided = smaller**2 <= largest
+    if not free or (is_lopsided if problem.dim == 3 and n * m <= NORM_PAIRS else n * m <= largest):
         return None
-    return LARGE_SAMPLE[problem.dim]
+    count = LARGE_SAMPLE[problem.dim]
+    if is_lopsided:
+        count = max(count, min(_points_for(ENOUGH_PAIRS[problem.dim], problem), largest // smaller))
+    return count
 
 
 def share_of_search(problem: Problem, time_s: float | None) -> float:

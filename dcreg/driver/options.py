@@ -275,7 +275,8 @@ def check_positive(
     if optional and value is None:
         return
     kinds = int | float | np.number if such_as is None else int | np.integer
-    remedy = "give 0 or a positive number" if minimum == 0.0 else "give a positive number"
+    remedies = {0.0: "give 0 or a positive number", SMALLEST: "give a positive number"}
+    remedy = remedies.get(minimum, f"give a number of at least {minimum:.3g}")
     if isinstance(value, bool) or not isinstance(value, kinds):
         needed = f"a number; {remedy}"
         if such_as is not None:

@@ -69,6 +69,8 @@ def loaded(stream: BinaryIO, load: Callable[[BinaryIO], Any]) -> Any:
         # MATLAB's default for large data, v7.3, is HDF5, which SciPy does not read
         remedy = "save it again" + " with: save -v7" * (suffix.lower() == ".mat")
         reason = (str(error).splitlines() or [type(error).__name__])[0]
+        if "pickle" in reason:  # NumPy takes any file for one, and advises to load it unsafely
+            reason = "it holds objects or no array"
         fail(f"is not a readable {suffix} file ({reason})", remedy)
 
 

@@ -100,8 +100,7 @@ class MaxInliers(Answer):
     def entries(self) -> Iterator[tuple[str, str]]:
         """Yield names and values of the summary."""
         yield "answer", self.answer
-        rows = (" ".join(f"{x:>14.8g}" for x in row) for row in self.T_target_source)
-        yield "T_target_source", "\n".join(rows)
+        yield "T_target_source", text.pose(self.T_target_source)
         yield "searches", ", ".join(f"{k} pairs: {status}" for k, status in self.tried)
         yield "time", f"{self.time_s:.2f} s"
 

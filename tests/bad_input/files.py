@@ -173,11 +173,15 @@ NPY: dict[str, tuple[bytes, str, str]] = {
     "text": (_npy([["a", "b"]]), "type <U1", "store real numbers"),
     "complex": (_npy([[1j, 2.0]]), "type complex128", "store real numbers"),
     "truth values": (_npy([[True, False]]), "type bool", "store real numbers"),
-    "objects": (_npy(OBJECTS), "is not a readable .npy file", "save it again"),
+    "objects": (_npy(OBJECTS), "is not a readable .npy file (it holds objects", "save it again"),
     "records": (_npy(np.zeros(2, "f8,f8")), "store real numbers", "type"),
     "cut off": (_npy(A2)[:-8], "is not a readable .npy file", "save it again"),
     "archive": (npz(a=A2), "holds several arrays", "rename it to .npz"),
-    "text file": (b"1 2\n3 4\n", "is not a readable .npy file", "save it again"),
+    "text file": (
+        b"1 2\n3 4\n",
+        "is not a readable .npy file (it holds objects or no array)",
+        "save",
+    ),
 }
 NPZ = {
     "no arrays": (npz(), "holds no numeric array", "arrays found: none"),

@@ -11,9 +11,9 @@ from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Task, solve
 from dcreg.driver import auto
 from dcreg.problem import InputError, apply_pose
-from dcreg.result_parts import ChosenNumber, ComparedNumber
+from dcreg.result_parts import ChosenNumber, ComparedNumber, Sample
 from dcreg.status import Status
-from tests.results import run
+from tests.results import made_result, run
 from tests.unit.test_sweeping import flat, solid
 
 CLOUDS = {"similarity2d": flat(noise=0.01), "rigid3d": solid(noise=0.02)}
@@ -214,3 +214,17 @@ def test_a_sweep_has_default_numbers():
     source, target = CLOUDS["rigid3d"]
     swept = dcreg.sweep(source, target, model="rigid3d", time_limit=0.3)
     assert [each.n_inliers for each in swept.results] == [4, 7, 9, 12, 14, 16, 19, 21, 24]
+
+
+@pytest.mark.parametrize(("of_sample", "n_inliers", "warned"), [(2, 12, 1), (3, 12, 0), (2, 2, 0)])
+def test_a_sample_whose_pairs_determine_no_pose_is_a_warning(of_sample, n_inliers, warned):
+    result = made_result(n_inliers=n_inliers, downsampled=Sample(60, 1500, of_sample))
+    lines = list(auto.few_sampled_pairs(result))
+    assert len(lines) == warned
+    assert all("only 2 pairs of 12" in line and "--downsample" in line for line in lines)
+
+
+def test_the_choice_warns_of_few_sampled_pairs(monkeypatch):
+    monkeypatch.setattr(auto, "few_sampled_pairs", lambda result: ["few pairs"])
+    found = dcreg.register(*CLOUDS["similarity2d"], model="similarity2d", node_limit=1)
+    assert "few pairs" in found.warnings

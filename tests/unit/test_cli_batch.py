@@ -300,7 +300,7 @@ def test_an_unwritable_graph(table, tmp_path, solved, monkeypatch):
     [
         ("source,n_inliers\n0.txt,3\n", "no column 'target'; let the first line name the columns"),
         ("source,target\n", "contains no pairs; give one per line"),
-        ("", "no column 'source'"),
+        ("", "'source', 'target' and, if wanted, 'n_inliers'"),
         ("source,target\n0.txt\n", "line 2 has no target; add it"),
         (
             "source,target,n_inliers\n0.txt,1.txt,many\n",

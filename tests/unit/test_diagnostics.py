@@ -162,6 +162,14 @@ def test_a_target_ten_times_larger():
     assert any("rescale one" in line and "factor of 10" in line for line in lines)
 
 
+@pytest.mark.parametrize("scale_range", [(0.5, 50.0), (12.0, 12.0)])
+def test_sizes_that_the_scale_explains_are_no_warning(scale_range):
+    source, target = clouds()
+    result = solve(source, 12.0 * target, 30, scale_range=scale_range)
+    assert result.scale == pytest.approx(12.0, rel=0.02)
+    assert result.warnings == []
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_pose_that_the_pairs_do_not_determine(dim):
     source, target = clouds(dim, size=12)

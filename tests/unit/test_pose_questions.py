@@ -191,9 +191,9 @@ def test_an_exact_fit_meets_every_residual_and_a_refuted_one_stays_refuted():
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"ratio": 0.5}, "ratio"),
+        ({"ratio": 0.5}, "ratio: 0.5 is not a usable value; give a number of at least 1$"),
         ({"min_displacement": -1.0}, "min_displacement"),
-        ({"min_displacement": 1e-12}, "min_displacement"),
+        ({"min_displacement": 1e-12}, "min_displacement: 1e-12 .*; give a number of at least"),
         ({"options": dcreg.SolveOptions(downsample=10)}, "a sample"),
         ({"max_others": 0}, "max_others"),
         (

@@ -36,6 +36,15 @@ def test_a_result_prints_everything_except_the_pairs():
     assert entries["method"] == "similarity2d, mode paper, bound tight"
 
 
+def test_the_printed_pose_moves_points_with_coordinates_of_maps_to_the_right_place():
+    cos, sin = math.cos(1.0), math.sin(1.0)
+    pose = np.array([[cos, -sin, 4.5e6 + 1 / 3], [sin, cos, 1 / 7], [0.0, 0.0, 1.0]])
+    found = result(T_target_source=pose)
+    lines = [line[17:].split() for line in str(found).splitlines()[1:4]]
+    apart = np.array(lines, dtype=float) - pose
+    assert np.abs(apart @ [5e6, 5e6, 1.0]).max() < 1e-3
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -227,3 +227,10 @@ def test_a_local_search_gives_a_pose_with_its_objective(k, rng):
         theta, value, _ = space.refine(seed)
         assert value == pytest.approx(space.objective(theta)[0], rel=1e-9)
         assert value <= space.objective(seed)[0]
+
+
+def test_poses_that_fit_few_pairs_of_a_sample_exactly_are_kept(rng):
+    source = rng.random((6000, 3))  # of 5 pairs, the 1,200 points of the first searches have one
+    target = source[:40] + 1.0
+    found = register(source, target, n_inliers=5, model="rigid3d", node_limit=1, time_limit=1.0)
+    assert found.rmse_matched < 0.05

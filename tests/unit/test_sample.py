@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from dcreg.driver.downsample import to_search
-from dcreg.problem import Problem, farthest_points, geometry, median_spacing, representative_points
+from dcreg.driver.downsample import default_sample, to_search
+from dcreg.problem import (
+    InputError,
+    Problem,
+    farthest_points,
+    geometry,
+    median_spacing,
+    representative_points,
+)
 from dcreg.problem.geometry import isolated, sampled_pairs
 
 
@@ -85,3 +92,28 @@ def test_a_sample_that_is_too_large_for_farthest_points_is_drawn_at_random(rng, 
     assert len(np.unique(taken)) == 300
     assert taken.min() < 100 < taken.max() < 500  # without the outlier
     assert representative_points(points, 100).min() >= 100  # few are farthest points
+
+
+@pytest.mark.parametrize(
+    ("sizes", "n_inliers", "sample"),
+    [
+        ((30_000, 150), 150, 6000),  # 400 points would leave 2 pairs, which determine no pose
+        ((150, 30_000), 75, 6666),
+        ((5000, 1000), 1000, 400),
+        ((5000, 5000), 10, 400),  # 2500 points of each would take too long
+        ((30_000, 100), 100, None),
+        ((20_000, 60), 60, 1334),
+    ],
+)
+def test_a_much_larger_cloud_has_a_larger_sample(sizes, n_inliers, sample, rng):
+    dim, model = (2, "similarity2d") if sizes[1] == 60 else (3, "rigid3d")
+    problem = Problem(*(rng.random((size, dim)) for size in sizes), n_inliers, model)
+    assert default_sample(problem, None, certificate=False) == sample
+
+
+def test_an_error_about_a_sample_states_enough_points(rng):
+    problem = Problem(rng.random((5000, 3)), rng.random((5000, 3)), 10, "rigid3d")
+    with pytest.raises(InputError, match=r"400 points leave 1 pair of 10.*at least 2500 points"):
+        to_search([problem], None, None, None)
+    (sample,) = to_search([problem], 2500, None, None)
+    assert sample.n_inliers == 5

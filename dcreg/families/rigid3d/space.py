@@ -235,7 +235,9 @@ class Poses3D(CloudSpace):
         values = np.array([value for _, value in coarse.ends])
         vertices = np.array([self._vertices(theta) for theta, _ in coarse.ends])
         count = MAX_CONFIRMED if self.is_confirmed else MAX_FINE
-        for at in distinct(vertices, values.min() / values, SEPARATION, count):
+        tiny = np.finfo(float).tiny  # few pairs of a sample can fit exactly
+        scores = (values.min() + tiny) / (values + tiny)
+        for at in distinct(vertices, scores, SEPARATION, count):
             yield coarse.ends[at][0], spent
             spent = 0
 
