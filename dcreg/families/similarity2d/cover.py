@@ -59,7 +59,7 @@ _SLICES = 256  # minimum number of boxes that the start boxes are divided into; 
 _UNLIMITED = 1e15  # maximum number of boxes tested in a slice if the time is unlimited
 # RMS displacement along the longest edge at which a box is left to the search, in RMS radii of the target
 SMALL = 0.02
-MAX_LEFT = 250_000  # boxes that may be left to the search
+MAX_LEFT = 400_000  # boxes that may be left to the search
 PREDICTED = 0.25  # share of the slices after which the number of these boxes is extrapolated
 BOX_S = 4.3e-9  # nominal seconds per box and point, the same on every machine
 SAMPLED = 0.1  # share of the allowed time that one slice may take, or the first slices together
