@@ -12,7 +12,8 @@
   as they end at another point in each execution; they count in poses, success and the certified share.
 - Between records of two machines, such runs are excluded from poses, success and certificates too.
 - Runs of a method that is not installed on one side are excluded, and methods whose options, limits or
-  prior differ in the two records. `Verdict.skipped` counts them.
+  prior differ in the two records. `Verdict.skipped` counts them. If only some runs of a method are
+  unavailable in the head, that is a regression.
 - Runs with another input are excluded too. If they are more than half of the runs of a method, that is a
   regression: the remaining runs are no evidence of the contrary.
 - Runs, methods, experiments, counters, gaps and integrals that the head lacks are a regression.
@@ -241,7 +242,9 @@ def judge_method(
     for side, absent, skipped in (("base", old, 0), ("head", new & ~old, (new & ~old).sum())):
         if absent.any():
             why = f"{absent.sum()} runs are unavailable in the {side}"
-            found = _runs(experiment, method, *sizes, "not compared", why)
+            # a method that is not installed has no run at all
+            word = "worse" if side == "head" and not (old | new).all() else "not compared"
+            found = _runs(experiment, method, *sizes, word, why)
             yield replace(found, skipped=int(skipped))
     pairs = pairs[~(old | new)].assign(label=labels)
     unmatched = len(base) + len(head) - 2 * len(pairs)

@@ -160,12 +160,15 @@ def test_a_method_that_is_not_installed_on_one_side_is_not_compared(base):
     lost = {"status": "unavailable", "rmse": np.nan, "success": False}
     head = base.copy()
     head.loc[0, list(lost)] = list(lost.values())
-    for count, new in ((N_RUNS, base.assign(**lost)), (1, head)):
+    for count, new, word, outcome in (
+        (N_RUNS, base.assign(**lost), "not compared", "no regression, 1 not compared"),
+        (1, head, "worse", "1 regression"),  # the method is installed
+    ):
         (found,) = [v for v in judged(base, new) if v.verdict != "same"]
-        assert (found.metric, found.verdict, found.skipped) == ("runs", "not compared", count)
+        assert (found.metric, found.verdict, found.skipped) == ("runs", word, count)
         assert found.detail == f"{count} runs are unavailable in the head"
         shown = verdict_text.outcome(pd.DataFrame([asdict(found)]))
-        assert shown == f"no regression, 1 not compared; left out: {count} runs of dcreg"
+        assert shown == f"{outcome}; left out: {count} runs of dcreg"
         (found,) = [v for v in judged(new, base) if v.verdict != "same"]
         assert (found.skipped, found.detail) == (0, f"{count} runs are unavailable in the base")
 
