@@ -15,6 +15,8 @@ ESTIMATED_AFTER_S = 0.25  # seconds of search before the estimate; most searches
 # ... if only the listener needs the estimate, which costs time
 ESTIMATED_FOR_LISTENER_AFTER_S = 2.0
 MAX_TIME_RATIO = 1.5  # estimated divided by remaining time above which no proof is expected
+# ... above which an unfinished estimate suffices: descents only add to it
+CERTAIN_TIME_RATIO = 4.0 * MAX_TIME_RATIO
 FEW_DESCENTS, N_DESCENTS = 16, 128  # of the first part of an estimate, and of both parts
 # Share of the time left that the first part may take; after more, there is no second one.
 ESTIMATE_SHARE = 0.1
@@ -35,6 +37,7 @@ def expected_boxes(
     roots: Boxes | None = None,
     within_region: Callable[[Boxes], Boxes] = _all,
     is_late: Callable[[], bool] | None = None,
+    is_enough: Callable[[float, int], bool] | None = None,
 ) -> tuple[float, int]:
     """Estimate how many boxes have to be bounded until every open box reaches `cutoff`.
 
@@ -58,6 +61,9 @@ def expected_boxes(
         Returns those of some boxes that have to be bounded at all.
     is_late : callable, optional
         Whether the first `FEW_DESCENTS` took so long that they have to suffice.
+    is_enough : callable, optional
+        From the mean so far and the number of boxes bounded: whether the descents may end early, because
+        the proof takes too long in any case.
 
     Returns
     -------
@@ -77,6 +83,8 @@ def expected_boxes(
         while len(boxes) and depth < _MAX_DEPTH:
             total, n_tried, depth = total + weight * len(boxes), n_tried + len(boxes), depth + 1
             found = bound.evaluate(boxes, cutoff)
+            if is_enough is not None and is_enough(total / len(begun[descents]), n_tried):
+                break
             bounds = np.maximum(found.lower_bounds, boxes.bounds)
             kept = Boxes(boxes.lower, boxes.upper, bounds, found.warm_start)[bounds < cutoff]
             one_of_two = 2 * np.arange(len(kept)) + rng.integers(2, size=len(kept))
@@ -85,8 +93,9 @@ def expected_boxes(
         return total, n_tried
 
     total, n_tried = descend(slice(FEW_DESCENTS))
-    if is_late is not None and is_late():
-        return total / FEW_DESCENTS, n_tried
+    mean = total / FEW_DESCENTS
+    if (is_late is not None and is_late()) or (is_enough is not None and is_enough(mean, n_tried)):
+        return mean, n_tried
     more, n_more = descend(slice(FEW_DESCENTS, None))
     return (total + more) / N_DESCENTS, n_tried + n_more
 
@@ -126,13 +135,19 @@ class Prospect:
         """
         began = budget.elapsed()
         # the clock must not change a counted search
-        late_after_s = math.inf if budget.is_counted else ESTIMATE_SHARE * _left_s(spent_s, budget)
+        left_s = math.inf if budget.is_counted else _left_s(spent_s, budget)
 
         def is_late() -> bool:
-            return budget.elapsed() - began > late_after_s
+            return budget.elapsed() - began > ESTIMATE_SHARE * left_s
+
+        def is_enough(mean: float, n_tried: int) -> bool:
+            box_s = (budget.elapsed() - began) / n_tried
+            return mean * box_s > CERTAIN_TIME_RATIO * left_s
 
         try:
-            found = expected_boxes(bound, branching, cutoff, roots, within_region, is_late)
+            found = expected_boxes(
+                bound, branching, cutoff, roots, within_region, is_late, is_enough
+            )
         except Interrupted:
             return cls(0.0)
         return cls(*found, budget.elapsed() - began)

@@ -44,6 +44,12 @@ def test_the_estimate_is_near_the_number_of_boxes(shape, test, level):
     )
     assert found.n_nodes / 8 < few < 8 * found.n_nodes
     assert FEW_DESCENTS < n_few < n_tried / 4
+    enough, n_enough = expected_boxes(
+        RigidBound(space), branching, tolerance.cutoff(found.upper_bound),
+        is_enough=lambda mean, _: mean > few / 8,
+    )  # fmt: skip
+    assert few / 8 < enough < few
+    assert n_enough < n_few
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from data.library.problem import LibraryError, Problem
 from data.library.record import LAST_DIGITS, read_record
 from data.library.submit import checked_proof
 from dcreg.files import as_json, write_text
+from dcreg.names import DEFAULT_REL_GAP
 from dcreg.status import Status
 
 ANSWERS = Path("results") / "library"
@@ -117,9 +118,9 @@ def solve(problem: Problem, limit_s: float, folder: Path = ANSWERS) -> list[Answ
     return new
 
 
-def prove(problem: Problem, out: Path, limit_s: float) -> str:
+def prove(problem: Problem, out: Path, limit_s: float, rel_gap: float = DEFAULT_REL_GAP) -> str:
     """Write a certificate of a problem and return a sentence about it."""
-    answer, certificate = _timed(problem, PROVE, limit_s)
+    answer, certificate = _timed(problem, PROVE, limit_s, rel_gap)
     assert certificate is not None
     dcreg.certificate.write(out, certificate)
     return (
@@ -143,7 +144,8 @@ def reprove(problems: Iterable[Problem], limit_s: float) -> Iterator[tuple[str, 
         try:
             with TemporaryDirectory() as folder:
                 path = Path(folder) / "proof.npz"
-                prove(problem, path, limit_s)
+                # a search may end with a smaller bound that is within its gap too
+                prove(problem, path, limit_s, max(record.gap, LAST_DIGITS))
                 proven = checked_proof(problem, path)[1].lower_bound
         except LibraryError as error:
             yield str(error), False
@@ -160,11 +162,11 @@ def _is_proven(answer: Answer) -> bool:
 
 
 def _timed(
-    problem: Problem, options: dict[str, Any], limit_s: float
+    problem: Problem, options: dict[str, Any], limit_s: float, rel_gap: float = DEFAULT_REL_GAP
 ) -> tuple[Answer, dcreg.Certificate | None]:
     began = time.process_time()
     found = dcreg.register(
-        *problem.clouds, **problem.keywords(), time_limit=WALL_PER_CPU * limit_s,
+        *problem.clouds, **problem.keywords(), rel_gap=rel_gap, time_limit=WALL_PER_CPU * limit_s,
         options=dcreg.SolveOptions(
             **options, listener=lambda _: time.process_time() - began > limit_s
         ),
