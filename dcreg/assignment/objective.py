@@ -14,6 +14,8 @@ from dcreg.problem import Problem, largest_matching
 from dcreg.problem.geometry import apply_pose
 from dcreg.problem.weights import AT_ONCE_PAIRS
 
+_MANY_PAIRS = 250_000  # beyond which a matching begins with nearest neighbours
+
 
 def k_assignment(cost: np.ndarray, k: int, stop: np.ndarray = NEVER) -> tuple[float, np.ndarray]:
     """Return the cheapest one-to-one choice of exactly k pairs in a dense cost matrix.
@@ -114,6 +116,9 @@ def match_at(
 ) -> tuple[float, np.ndarray, bool]:
     """Return value and pairs of `objective`, and whether the pairs were chosen greedily.
 
+    If there are many pairs of points, each point's nearest neighbours are tried first. At good poses
+    they prove the optimum, in a tenth of the time of a dense matrix or less.
+
     Parameters
     ----------
     source, target, T_target_source, n_inliers, candidates
@@ -128,9 +133,14 @@ def match_at(
     moved = apply_pose(T_target_source, source)
     if len(source) * len(target) <= at_once:
         stop = NEVER
-    if candidates is None and (stop[0] or is_large(len(source), len(target))):
-        found = sparse.sparse_matching(moved, target, n_inliers, prove=prove, stop=stop)
-        return found.value, found.pairs, bool(stop[0])
+    n_pairs, is_dense = len(source) * len(target), not is_large(len(source), len(target))
+    if candidates is None and (stop[0] or n_pairs > _MANY_PAIRS):
+        found = sparse.sparse_matching(
+            moved, target, n_inliers, prove=prove or is_dense,
+            most=0 if is_dense else sparse.DENSE_PAIRS, stop=stop,
+        )  # fmt: skip
+        if stop[0] or found.exact or not is_dense:
+            return found.value, found.pairs, bool(stop[0])
     cost = ((moved[:, None] - target[None]) ** 2).sum(axis=-1)
     if candidates is not None:
         cost[~candidates] = 1.0 + n_inliers * cost.max()

@@ -61,13 +61,14 @@ def sparse_matching(
     k: int,
     *,
     prove: bool = True,
+    most: int = DENSE_PAIRS,
     stop: np.ndarray = NEVER,
 ) -> Matching:
     """Return the cheapest k one-to-one pairs by squared distance, without a dense matrix.
 
     The assignment is solved over each point's nearest neighbours, 16 at first. If the dual variables do
-    not prove that farther pairs are useless, the number of neighbours is quadrupled, up to `DENSE_PAIRS`
-    pairs in total. If this does not suffice either, the best matching is returned as not exact. Points
+    not prove that farther pairs are useless, the number of neighbours is quadrupled, up to `most` pairs
+    in total. If this does not suffice either, the best matching is returned as not exact. Points
     that remain unmatched are paired with near ones among themselves.
 
     Without `prove`, only the first neighbours are used (8, or 16 if k = n), and the penalty of an
@@ -76,7 +77,7 @@ def sparse_matching(
     if it is set before, from few neighbours.
     """
     if len(points) > len(target):
-        found = sparse_matching(target, points, k, prove=prove, stop=stop)
+        found = sparse_matching(target, points, k, prove=prove, most=most, stop=stop)
         pairs = found.pairs[:, ::-1]
         return Matching(
             found.value, pairs[np.argsort(pairs[:, 0])], found.exact, found.n_assignments
@@ -103,7 +104,7 @@ def sparse_matching(
         if best is None or exact or value < best.value:
             best = Matching(value, pairs, exact, spent)
         is_short = k < n and int((col_of >= 0).sum()) < _MIN_MATCHED_SHARE * k
-        is_last = neighbours == m or 4 * neighbours * n > DENSE_PAIRS
+        is_last = neighbours == m or 4 * neighbours * n > most
         if exact or not prove or stop[0] or is_last or is_short:
             return Matching(best.value, best.pairs, best.exact, spent)
         neighbours = min(4 * neighbours, m)

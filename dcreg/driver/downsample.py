@@ -216,19 +216,33 @@ def _refined_dense(
     """Match at the poses, and polish them if there is time."""
     clouds, k = (problem.source, problem.target), problem.n_inliers
     before, pairs, greedy = quick_objective(problem, T, known, prove=False, stop=budget.hard_stop)
-    poses, spent = [(before, T, pairs)], 1
-    for other in others:
+    poses, ends, spent = [(before, T, pairs)], [], 1
+    tree = tree_of(problem.target)
+    near = [near_value(problem, pose, tree) for pose in (T, *others)]
+    for other, distances in zip(others, near[1:], strict=True):
         if known is not None and other is known.T_target_source:
             value, pairs = known.cheapest(*clouds, other, k)
         elif budget.is_over:
+            continue
+        elif distances > MAX_OBJECTIVE_RATIO * min(near):  # a matching so far away takes long
+            ends.append((other, _estimate(problem, before, near[0], distances)))
             continue
         else:
             value, pairs = objective(*clouds, other, k, prove=False, stop=budget.hard_stop)
             spent += 1
         poses.append((value, other, pairs))
     poses, more = refine_poses(problem, poses, budget)
-    ends = [(pose, value) for value, pose, _ in poses]
+    ends += [(pose, value) for value, pose, _ in poses]
     return Refined(poses, ends, before, greedy, spent + more)
+
+
+def _estimate(problem: Problem, value: float, near: float, far: float) -> float:
+    """Estimate the objective at a pose: objectives differ about as much as distances to the target.
+
+    `value` is the objective at another pose, `near` and `far` are the distances of both.
+    """
+    rounding = rounding_error(problem.source, problem.target, problem.n_inliers)
+    return far * (value + rounding) / (near + rounding)
 
 
 def _refined_large(
@@ -252,14 +266,12 @@ def _refined_large(
     if is_rough and own is not None:
         before, spent = min(before, own[0]), spent + 1
         poses.append((own[0], T, own[1]))
-    rounding = rounding_error(*sizes)
-    scale = (before + rounding) / (near[0] + rounding)  # both at the pose of the sample
-    for other, value in zip(others, near[1:], strict=True):
+    for other, distances in zip(others, near[1:], strict=True):
         if first.greedy or budget.is_over:
             break
-        # the objectives differ about as these distances do
-        if value > MAX_OBJECTIVE_RATIO * min(near):
-            ends.append((other, scale * value))
+        if distances > MAX_OBJECTIVE_RATIO * min(near):
+            # both at the pose of the sample
+            ends.append((other, _estimate(problem, before, near[0], distances)))
             continue
         found = descend(problem, other, budget, tree, prove=False)
         poses.append((found.value, found.T_target_source, found.pairs))

@@ -168,6 +168,10 @@ class Space(abc.ABC):
         )
         return self.normalised(theta), value, spent + 1
 
+    def worth_refining(self, value: float) -> float:
+        """Return the objective up to which a box deserves the first local search; `value` is known."""
+        return np.inf
+
     @abc.abstractmethod
     def pose(self, theta: np.ndarray) -> np.ndarray:
         """Return the pose of the source as a (d+1, d+1) matrix."""

@@ -27,7 +27,7 @@ _STEP = 3.0  # length of a move, in point spacings
 _SAME_POINTS = 0.5
 _SAMPLED = 500  # pairs, evenly spaced, whose distances are compared
 _NEIGHBOURS = {2: 6, 3: 11}  # that show the direction of a curve or surface
-_DENSE = 2_000_000  # distances computed one by one, without loading SciPy
+_DENSE = 100_000  # distances computed one by one, without loading SciPy
 
 Nearest = Callable[[np.ndarray, int], tuple[np.ndarray, np.ndarray]]
 

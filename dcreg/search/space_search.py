@@ -49,6 +49,10 @@ class Searchable(Protocol):
         """Search locally from `theta`; return a better theta, its objective, assignments spent."""
         ...
 
+    def worth_refining(self, value: float) -> float:
+        """Return the objective up to which a box deserves the first local search; `value` is known."""
+        ...
+
 
 class Cover(Protocol):
     """Finds few boxes that contain every optimum with an objective below a value.
@@ -143,6 +147,7 @@ def minimise(
         Start(*start), Leaves() if keep_leaves else None,
         Confined(Boxes.of(bound.roots), np.inf),
     )  # fmt: skip
+    search.worth_refining = space.worth_refining(search.upper_bound)
     course = Course(space, search, is_cut=resumed is None and budget.is_over)
     if resumed is not None:
         resumed.restore(course)

@@ -11,10 +11,12 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.assignment import large, sparse
+from dcreg.assignment import objective as objectives
 from dcreg.assignment.objective import k_assignment, objective
 from dcreg.driver import downsample
 from dcreg.driver.modes import find_mode
 from dcreg.driver.warm_up import warm_up_mode
+from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.jit import NEVER
@@ -87,6 +89,46 @@ def test_large_clouds_with_outliers_end_in_time(rng, processor_clock):
     angle, shift = pose_errors(result.T_target_source)
     assert angle < 0.5
     assert shift < 5e-3
+
+
+@pytest.mark.parametrize(("angle", "is_near"), [(0.0, True), (2.0, False)])
+def test_clouds_of_some_hundred_points_are_matched_exactly(rng, monkeypatch, angle, is_near):
+    """At a good pose without a dense matrix."""
+    size, k = 560, 400
+    source = spiral(rng, size)
+    target = moved_copy(rng, source)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = (
+        Rotation.from_rotvec([0.0, angle, 0.0]).as_matrix() @ ROTATION,
+        TRANSLATION,
+    )
+    moved = source @ T[:3, :3].T + T[:3, 3]
+    best, _ = k_assignment(((moved[:, None] - target) ** 2).sum(axis=2), k)
+    dense = []
+    monkeypatch.setattr(
+        objectives, "k_assignment", lambda *given: dense.append(1) or k_assignment(*given)
+    )
+    value, pairs = objective(source, target, T, k)
+    assert value == pytest.approx(best, rel=1e-12)
+    assert value == pytest.approx(((moved[pairs[:, 0]] - target[pairs[:, 1]]) ** 2).sum())
+    assert bool(dense) != is_near
+
+
+def test_no_local_search_begins_at_a_poor_box_of_large_clouds(rng, monkeypatch):
+    """One from the first boxes took a third of the time of a run, and found nothing."""
+    size = 220
+    source = spiral(rng, size)
+    target = moved_copy(rng, source)
+    begun, refine = [], Rigid3D.refine
+    monkeypatch.setattr(
+        Rigid3D,
+        "refine",
+        lambda self, theta: begun.append(self.is_confirmed) or refine(self, theta),
+    )
+    result = register(source, target, n_inliers=150, model="rigid3d", node_limit=256)
+    assert result.n_nodes >= 256
+    assert len(begun) > 0
+    assert not any(begun)  # `is_confirmed` is set at the end of the start stage
 
 
 def test_sampled_rotation_claims_only_what_its_bounds_prove(rng):

@@ -57,6 +57,7 @@ _SCORED_PAIRS = 100_000_000  # pairs evaluated to score the seeds
 _ROUNDING = 1e-12
 _CONGRUENT_SHARE = 0.5  # maximum share of the time for the poses of congruent triples
 DENSE_DESCENTS = 40_000  # point pairs beyond which local searches begin with nearest neighbours
+NEARLY = 2.0  # ratio of objectives up to which a local search from a box of such clouds pays
 COARSE_PAIRS = 200_000  # beyond which the first local searches are on few points
 COARSE_POINTS, MAX_COARSE = 300, 1200  # of the smaller and of the larger cloud
 FEW_DESCENTS = 6  # local searches from the grid before agreement can end them
@@ -128,6 +129,10 @@ class Poses3D(CloudSpace):
             is_admissible=bool(self.admissible(theta[None])[0]),
         )  # fmt: skip
         return self.normalised(theta), value, spent
+
+    def worth_refining(self, value: float) -> float:
+        """A local search from a poor pose of large clouds takes long; a confirmed pose is better."""
+        return NEARLY * value if self.is_confirmed and self.n_pairs > DENSE_DESCENTS else np.inf
 
     def normalised(self, theta: np.ndarray) -> np.ndarray:
         theta = theta.copy()
