@@ -56,6 +56,13 @@ def main_machine(runs: pd.DataFrame) -> str:
     return str(counts.index[0]) if len(counts) else ""
 
 
+def is_timed(runs: pd.DataFrame) -> pd.Series:
+    """Tell whose times are compared: on the main machine, with the usual number of parallel jobs."""
+    here = runs["machine_id"] == main_machine(runs)
+    usual = attempted(runs[here])["parallel_jobs"].mode()
+    return here & (runs["parallel_jobs"] == usual.iloc[0]) if len(usual) else here
+
+
 def comparable_times(runs: pd.DataFrame) -> pd.Series:
-    """Return the seconds of the runs on the main machine; those of other machines are left out."""
-    return runs["time_solve_s"].where(runs["machine_id"] == main_machine(runs))
+    """Return the seconds of the runs that `is_timed` tells; missing for others."""
+    return runs["time_solve_s"].where(is_timed(runs))

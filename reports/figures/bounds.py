@@ -11,7 +11,7 @@ from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
 from reports.tables import BOUNDS, Tables, row_names, thin_trace, thinned_positions
 from reports.theme import Style, words
-from workflows.outcomes import main_machine
+from workflows.outcomes import is_timed
 
 if TYPE_CHECKING:
     import polars as pl
@@ -25,9 +25,9 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
     runs = tables.runs[tables.runs["run_id"].isin(events.index)]
     if runs.empty:
         return None
-    runs = runs.assign(
-        row=row_names(tables.runs), is_timed=runs["machine_id"] == main_machine(tables.runs)
-    ).sort_values("trial", kind="stable")
+    runs = runs.assign(row=row_names(tables.runs), is_timed=is_timed(tables.runs)).sort_values(
+        "trial", kind="stable"
+    )
     sizes = runs["run_id"].map(events).groupby(runs["instance_id"], sort=False).sum()
     shown: list[str] = []
     left = MAX_EVENTS

@@ -11,7 +11,7 @@ from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
 from reports.tables import Tables, is_right, share_intervals
 from reports.theme import Style
-from workflows.outcomes import attempted, main_machine
+from workflows.outcomes import attempted, is_timed
 
 _ERROR, _TIME, _RATIO = "rmse", "time_solve_s", "ratio"
 _PANELS = {
@@ -38,7 +38,7 @@ def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:
     counted = [name for name in WORK if name in tables.runs]
     runs = attempted(tables.runs[["instance_id", *_NEEDED, *counted]])
     runs = runs[runs["model"] == model]
-    right, here = is_right(runs), runs["machine_id"] == main_machine(tables.runs)
+    right, here = is_right(runs), is_timed(tables.runs)[runs.index]
     times = runs[_TIME].where(right & here)
     rivals = times.where(~runs["method"].map(tables.is_oracle))
     fastest = rivals.groupby(runs["instance_id"]).transform("min")

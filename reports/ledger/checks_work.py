@@ -107,9 +107,13 @@ def race(source: Source, p: Parameters) -> Finding:
         ]
         columns = ["mine", "other", "mine_open", "other_open"]
         both[columns] = np.array([each or (np.nan,) * 4 for each in met]).reshape(-1, 4)
-        both = both.dropna(subset=columns)
-        if both.empty:
+        count = int(both["mine"].isna().sum())
+        if count == len(both):
             finding.miss(f"bound histories of {rival}")
+        elif count:
+            instances = f"{count} of {len(both)} instances"
+            finding.miss(f"a bound above 0 of {name} or {rival} for {instances}")
+        both = both.dropna(subset=columns)
         for place, part in groups(both, {"by": p.get("by", ["test"])}):
             found = intervals.ratio(part["mine"].to_numpy(), part["other"].to_numpy())
             finding.add(

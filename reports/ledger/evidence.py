@@ -18,7 +18,7 @@ from dcreg.names import POSE_SCOPES
 from reports.tables import Tables, check_study
 from workflows.blocks import EVIDENCE
 from workflows.compose import QUICK
-from workflows.outcomes import attempted, main_machine
+from workflows.outcomes import attempted, is_timed, main_machine
 
 STUDY = "bounds"  # has no planned runs: its tables are next to those of the experiments
 _TIER = re.compile(rf"-(\d+)(?:{QUICK})?$")  # experiments with another number of points
@@ -104,7 +104,7 @@ class Experiment:
         )
         of_pose = runs["certificate_scope"].isin(POSE_SCOPES)
         upper = runs["upper_bound"].where(runs["upper_bound"] > 0)
-        here = runs["machine_id"] == self.machine_id
+        here = is_timed(runs)
         return runs.assign(
             error=(runs["rmse"] / scale).fillna(NO_POSE).clip(lower=MIN_ERROR),
             excess=(runs["rmse_excess"] / scale).fillna(NO_POSE).clip(lower=MIN_ERROR),

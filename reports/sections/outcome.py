@@ -16,7 +16,14 @@ from reports.tables import PENALTY, Tables, counted_time, is_right, share_interv
 from reports.theme import Style, integer, listed, share, words
 from workflows.compose import QUICK
 from workflows.metrics.errors import SUCCESS_SHARE
-from workflows.outcomes import OUTCOMES, STARTED, attempted, comparable_times, main_machine
+from workflows.outcomes import (
+    OUTCOMES,
+    STARTED,
+    attempted,
+    comparable_times,
+    is_timed,
+    main_machine,
+)
 from workflows.stages.evaluate import success_limits
 
 ID = "outcome"
@@ -163,20 +170,19 @@ def facts(tables: Tables) -> list[tuple[str, str]]:
 
 
 def _machine(tables: Tables) -> str:
-    """Return the machine that all times refer to; runs of other machines are counted."""
+    """Return the machine that all times refer to; runs whose times are not used are counted."""
     card, main = tables.provenance.get("machine", {}), main_machine(tables.runs)
     text = f"{card.get('cpu', 'unknown')}, {card.get('cores', '?')} cores"
     if main not in (card.get("machine_id", main), ""):
         text = f"machine {main}"
-    machines = attempted(tables.runs[["outcome", "machine_id"]])["machine_id"]
-    elsewhere = machines[machines != main]
-    if elsewhere.empty:
-        return text
-    others = elsewhere.nunique()
-    return (
-        f"{text}; the times of {len(elsewhere)} runs on {others} other machine{'s' * (others > 1)} are "
-        "not used"
-    )
+    left_out = attempted(tables.runs[~is_timed(tables.runs)])
+    elsewhere = left_out.loc[left_out["machine_id"] != main, "machine_id"]
+    if count := len(elsewhere):
+        others = elsewhere.nunique()
+        text += f"; the times of {count} runs on {others} other machine{'s' * (others > 1)} are not used"
+    if count := len(left_out) - len(elsewhere):
+        text += f"; the times of {count} runs with another number of parallel jobs are not used"
+    return text
 
 
 def _prior(runs: pd.DataFrame) -> str:
@@ -239,7 +245,7 @@ def outcomes(tables: Tables) -> list[dict[str, Any]]:
 
     Rows are sorted by success rate; methods that receive the true pairs come last.
     """
-    here = tables.runs["machine_id"] == main_machine(tables.runs)
+    here = is_timed(tables.runs)
     runs = attempted(
         tables.runs[NEEDED].assign(
             time=counted_time(tables.runs, tables.cards).where(here),

@@ -60,7 +60,7 @@ def runs_of(method: str, **columns) -> pd.DataFrame:
                 "certificate_scope": "similarity pose", "verdict": "right", "n_nodes": 100.0,
                 "n_assignments": 1600.0, "objective": 1.0, "gap_tol": 0.1, "gap": 0.05,
                 "lower_bound": 0.95, "upper_bound": 1.0, "objective_best": 1.0,
-                "bound_violation": 0.0, "machine_id": "m", "extra": "{}",
+                "bound_violation": 0.0, "machine_id": "m", "parallel_jobs": 1.0, "extra": "{}",
             }  # fmt: skip
             draw = 1 + 0.1 * rng.random()
             for name, value in columns.items():

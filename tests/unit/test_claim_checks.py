@@ -37,6 +37,7 @@ from reports.__main__ import app
 from reports.ledger.evidence import Evidence
 from reports.ledger.finding import CHECKS, STUDY_CHECKS, Source, select
 from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED
+from workflows.outcomes import comparable_times, is_timed
 
 # --- every kind of check ---------------------------------------------------------------------------
 
@@ -252,6 +253,24 @@ def test_a_search_without_any_bound_is_no_tie_in_a_race(seconds, verdict):
     found = judged(evidence(runs_of("paper"), runs_of("rival"), traces=neither), RACE)
     assert found.verdict == NOT_RUN
     assert "bound histories of rival" in found.reason
+
+
+def test_a_race_tells_on_how_many_instances_neither_has_a_bound():
+    ends = [history(m, (0.0, 0.0), (s, 1.0)) for m, s in (("paper", 1.0), ("rival", 6.0))]
+    left_out = runs_of("paper")["run_id"].iloc[:9], runs_of("rival")["run_id"].iloc[:9]
+    traces = pd.concat(ends)
+    traces = traces[~traces["run_id"].isin(pd.concat(left_out))]
+    found = judged(evidence(runs_of("paper"), runs_of("rival"), traces=traces), RACE)
+    assert found.verdict != REPRODUCED
+    assert "a bound above 0 of paper or rival for 9 of 90 instances" in found.reason
+
+
+def test_times_with_other_numbers_of_parallel_jobs_are_not_compared():
+    crowded = runs_of("rival", time_solve_s=lambda level, draw: 9.0)
+    crowded["parallel_jobs"] = 2.0
+    runs = pd.concat([runs_of("paper"), runs_of("paper").iloc[:5], crowded])
+    assert is_timed(runs).tolist() == [True] * 95 + [False] * len(crowded)
+    assert comparable_times(runs).isna().sum() == len(crowded)
 
 
 def test_a_cost_that_doubles_is_as_sensitive_as_one_that_halves():
