@@ -294,13 +294,14 @@ class Search:
     def estimate(self) -> float:
         """Estimate how many boxes the proof takes; return how many of them are left."""
         began, boxes = self.budget.elapsed(), Boxes.joined(self.nodes.boxes(), self.boxes)
+        done = self.n_nodes - self.n_nodes_before
         if not len(boxes):
+            self.prospect = Prospect(done)
             return 0.0
         found = Prospect.of(
             self.bound.fresh(), self.branching, self.cutoff, boxes, self.within_region, self.budget,
             began - self.patience_began,
         )  # fmt: skip
-        done = self.n_nodes - self.n_nodes_before
         self.prospect = replace(found, n_nodes=done + found.n_nodes)
         self.not_bounding_s += self.budget.elapsed() - began
         return found.n_nodes

@@ -214,7 +214,8 @@ def _with_cover(course: Course, cover: Cover, patience_s: float | None) -> Outco
     cover.proven = course.proven
     search_s = 0.0
     if search.status is None and course.n_shares < len(cover.shares):
-        search_s = search.estimate() * cover.box_s
+        # without a time per box, an estimate of the boxes is not needed
+        search_s = search.estimate() * cover.box_s if cover.box_s < np.inf else np.inf
     while course.n_shares < len(cover.shares):
         is_soon = search_s <= _allowed_s(search, cover, patience_s)
         if is_soon and 1.0 in cover.shares[: course.n_shares]:
