@@ -112,9 +112,9 @@ class Card(BaseModel):
     # Raised by the author when results change; `python -m workflows versions` checks it.
     version: int = Field(default=1, ge=1)
     models: list[ModelName]
-    # official: the authors' own code; library: third-party code; port: our code for the algorithm in a paper
-    # or in its authors' public code; reconstruction: our code for a method of which we have read neither in
-    # full; own: a method of the user.
+    # official: the authors' own code; library: third-party code; port: our code for the algorithm in a
+    # paper or in its authors' public code; reconstruction: our code for a method of which we have read
+    # neither in full; own: a method of the user.
     provenance: Literal["official", "library", "port", "reconstruction", "own"]
     # Language and origin of the code that takes the time; reports state it next to times.
     language: str = Field(default="Python", min_length=1)
