@@ -47,3 +47,10 @@ def test_it_runs_tests_benchmark_and_comparison():
         "$GITHUB_STEP_SUMMARY",
     ):
         assert command in called
+
+
+def test_the_files_to_keep_are_in_the_checkout():
+    """The action rejects every path with `..`; it and a failed comparison would look alike."""
+    (kept,) = [step["with"]["path"] for step in STEPS if "upload-artifact" in step.get("uses", "")]
+    assert all(path.startswith("results/") and ".." not in path for path in kept.split())
+    assert "git worktree add --detach results/base origin/main" in SCRIPTS
