@@ -196,6 +196,8 @@ def test_times_compare_within_one_machine_and_never_fail(base):
     head = base.assign(time_solve_s=base["time_solve_s"] * 3)
     assert verdicts(base, head)["time_solve_s"] == "slower"
     assert "worse" not in verdicts(base, head).values()
+    shown = verdict_text.outcome(pd.DataFrame([asdict(found) for found in judged(base, head)]))
+    assert shown == "no regression, 1 slower"
     elsewhere = head.assign(machine_id="other")
     assert verdicts(base, elsewhere)["time_solve_s"] == "not compared"
 
