@@ -63,6 +63,7 @@ def test_the_method_of_the_example_keeps_every_rule(
     example: Path, capsys: pytest.CaptureFixture
 ) -> None:
     assert "principal_axes" in registry.names()
+    assert registry.facts("principal_axes")["version"] == "1.0"  # of the package
     assert check.main(["dcreg-example-plugin"]) == 0
     printed = capsys.readouterr().out
     assert "principal_axes: package dcreg-example-plugin 1.0 (entry point principal_a" in printed
