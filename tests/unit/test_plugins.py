@@ -203,7 +203,7 @@ def test_what_is_no_method_is_an_error_with_the_remedy(
     assert "no card.yaml and adapter.py here" in capsys.readouterr().err
     (tmp_path / "pyproject.toml").touch()
     assert check.main([str(tmp_path)]) == 2
-    assert "not installed; run" in capsys.readouterr().err
+    assert "not installed in editable mode; run" in capsys.readouterr().err
 
 
 def test_files_of_a_plugin_that_is_a_single_module(site: Path) -> None:
