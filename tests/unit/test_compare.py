@@ -303,7 +303,9 @@ def test_more_work_in_most_runs_is_worse_whatever_the_sum(base):
     head = base.assign(n_nodes=base["n_nodes"] + 1)
     head.loc[5, "n_nodes"] = 0
     assert head["n_nodes"].sum() < base["n_nodes"].sum()
-    assert verdicts(base, head)["n_nodes"] == "worse"
+    (found,) = [v for v in judged(base, head) if v.verdict != "same"]
+    assert (found.metric, found.verdict) == ("n_nodes", "worse")
+    assert ": 17 with more work, 1 with less; 2 runs at a " in found.detail
 
 
 @pytest.mark.parametrize(
