@@ -276,7 +276,8 @@ docs: dev
 ## wheel: build the wheel of the library in results/dist; the same commit gives the same bytes
 .PHONY: wheel
 wheel: setup
-	@SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m pip wheel --quiet --no-deps \
+	@rm -rf build  # setuptools would also pack what an earlier build left there
+	@$(BIN)/python -m pip wheel --quiet --no-deps \
 	  --disable-pip-version-check --no-build-isolation --wheel-dir results/dist .
 	@sha256sum results/dist/dcreg-*.whl
 

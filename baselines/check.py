@@ -49,8 +49,9 @@ def candidates(text: str) -> list[Candidate]:
         return [Candidate(name, folder) for name in names]
     if (folder / "pyproject.toml").is_file():
         raise BaselineError(
-            f"{text}: a package that is not installed; run `{os.path.relpath(sys.executable)} -m pip "
-            f"install --no-deps --no-build-isolation --editable {text}`"
+            f"{text}: a package that is not installed in editable mode; run "
+            f"`{os.path.relpath(sys.executable)} -m pip install --no-deps --no-build-isolation "
+            f"--editable {text}`, or give the name of an installed package"
         )
     raise BaselineError(
         f"{text}: no card.yaml and adapter.py here or in a subfolder; name the folder of a method"

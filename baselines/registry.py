@@ -14,7 +14,7 @@ import importlib
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
@@ -224,7 +224,7 @@ def facts(name: str, root: Path | None = None) -> dict[str, Any]:
         "models": ", ".join(card.models),
         "available": reason is None,
         "reason": reason or "",
-        "version": version(card),
+        "version": version(card, [] if root else _plugins_named(name)),
         "provenance": card.provenance,
         "language": card.language,
         "bounds": card.certifies if card.provides_bounds else "none",
@@ -236,10 +236,10 @@ def facts(name: str, root: Path | None = None) -> dict[str, Any]:
     }
 
 
-def version(card: Card) -> str:
-    """Return the version of the required distribution, or of this repository."""
+def version(card: Card, added_by: Sequence[Plugin] = ()) -> str:
+    """Return the version of the required distribution, else of what adds the method."""
     if not card.requires:
-        return repository_version
+        return metadata.version(added_by[0].distribution) if added_by else repository_version
     module = card.requires.partition(".")[0]
     candidates = [module, *_distributions().get(module, [])]
     return _installed_version(candidates) or "not installed"

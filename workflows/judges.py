@@ -200,7 +200,7 @@ def _counter(pairs: pd.DataFrame, name: str) -> Judged:
     word = "changed" if change == 0 and more == fewer else "better"
     if change > 0 or more > fewer:
         word = "worse"
-    why = f"{differing} of {len(pairs)} runs differ"
+    why = f"{differing} of {len(pairs)} runs differ: {more} with more work, {fewer} with less"
     if (pairs["machine_id_base"] != pairs["machine_id_head"]).any():
         word, why = "changed", f"{why}; from two machines, whose rounding can differ"
     lost, won = [*pairs["label"][new > old]], [*pairs["label"][new < old]]

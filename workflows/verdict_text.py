@@ -10,7 +10,7 @@ from typing import Any
 import pandas as pd
 
 from dcreg.files import plain
-from workflows.compare import Verdict, regressed
+from workflows.compare import TIMED_WORDS, Verdict, regressed
 
 STYLES = {"worse": "bold red", "better": "green", "changed": "yellow", "unclear": "yellow"}
 MOST_NAMES = 5  # of instances in the terminal
@@ -21,7 +21,7 @@ def outcome(verdicts: pd.DataFrame) -> str:
     """Return the result of the comparison in a few words."""
     counts = verdicts["verdict"].value_counts()
     worse = int(counts.get("worse", 0))
-    kinds = ("better", "changed", "unclear", "not compared")
+    kinds = ("better", "changed", *TIMED_WORDS, "unclear", "not compared")
     others = [f"{counts[word]} {word}" for word in kinds if word in counts]
     first = f"{worse} regression{'s' * (worse != 1)}" if worse else "no regression"
     skipped = verdicts.groupby("method", sort=False)["skipped"].sum()

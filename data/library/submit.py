@@ -6,7 +6,6 @@ A submission is a JSON file, valid under ``submission.schema.json``; docs/librar
 from __future__ import annotations
 
 import hashlib
-import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -227,7 +226,7 @@ def stored_proof(
     is_stored = len(content) <= (MAX_OWN if command == own else MAX_OTHER)
     if is_stored:
         folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, proof_path(problem.id, sha256, folder))
+        proof_path(problem.id, sha256, folder).write_bytes(content)  # `path` may be this file
     elif command != own:
         raise LibraryError(
             f"{problem.id}: proof: {len(content):,} bytes exceed {MAX_OTHER:,}, and its command is not "

@@ -47,3 +47,17 @@ def test_it_runs_tests_benchmark_and_comparison():
         "$GITHUB_STEP_SUMMARY",
     ):
         assert command in called
+
+
+def test_the_files_to_keep_are_in_the_checkout():
+    """The action rejects every path with `..`; it and a failed comparison would look alike."""
+    (kept,) = [step["with"]["path"] for step in STEPS if "upload-artifact" in step.get("uses", "")]
+    assert all(path.startswith("results/") and ".." not in path for path in kept.split())
+    assert "git worktree add --detach results/base origin/main" in SCRIPTS
+
+
+def test_the_base_runs_the_config_of_the_pull_request_under_its_own_name():
+    """A config in another place with the name of a present one is refused."""
+    (script,) = [script for script in SCRIPTS if "workflows run" in script]
+    assert "cp workflows/configs/regression.yaml results/base/workflows/configs/\n" in script
+    assert re.findall(r"workflows run (\S+)", script) == ["regression"] * 2

@@ -196,6 +196,8 @@ def test_times_compare_within_one_machine_and_never_fail(base):
     head = base.assign(time_solve_s=base["time_solve_s"] * 3)
     assert verdicts(base, head)["time_solve_s"] == "slower"
     assert "worse" not in verdicts(base, head).values()
+    shown = verdict_text.outcome(pd.DataFrame([asdict(found) for found in judged(base, head)]))
+    assert shown == "no regression, 1 slower"
     elsewhere = head.assign(machine_id="other")
     assert verdicts(base, elsewhere)["time_solve_s"] == "not compared"
 
@@ -301,7 +303,9 @@ def test_more_work_in_most_runs_is_worse_whatever_the_sum(base):
     head = base.assign(n_nodes=base["n_nodes"] + 1)
     head.loc[5, "n_nodes"] = 0
     assert head["n_nodes"].sum() < base["n_nodes"].sum()
-    assert verdicts(base, head)["n_nodes"] == "worse"
+    (found,) = [v for v in judged(base, head) if v.verdict != "same"]
+    assert (found.metric, found.verdict) == ("n_nodes", "worse")
+    assert ": 17 with more work, 1 with less; 2 runs at a " in found.detail
 
 
 @pytest.mark.parametrize(

@@ -377,6 +377,17 @@ def test_a_bound_is_accepted_with_its_proof_only(place):
     assert "is not above the best proven one" in bound(place, proof, best).refused[0]
 
 
+def test_a_proof_may_already_be_where_it_is_stored(place):
+    best = RECORDS[ONE.id].best_bound
+    stored = submit.proof_path(ONE.id, best.proof.sha256)
+    there = place / "proofs" / stored.name
+    there.parent.mkdir()
+    there.write_bytes(stored.read_bytes())
+    claims = {"lower_bound": best.lower_bound, "proof": f"proofs/{stored.name}"}
+    assert submitted(place, better_bound=claims).refused == []
+    assert there.read_bytes() == stored.read_bytes()
+
+
 def test_false_bounds_are_refused_with_the_reason(place):
     true = certificate_of(ONE)
     high = 1.5 * true.upper_bound

@@ -63,6 +63,7 @@ def test_the_method_of_the_example_keeps_every_rule(
     example: Path, capsys: pytest.CaptureFixture
 ) -> None:
     assert "principal_axes" in registry.names()
+    assert registry.facts("principal_axes")["version"] == "1.0"  # of the package
     assert check.main(["dcreg-example-plugin"]) == 0
     printed = capsys.readouterr().out
     assert "principal_axes: package dcreg-example-plugin 1.0 (entry point principal_a" in printed
@@ -202,7 +203,7 @@ def test_what_is_no_method_is_an_error_with_the_remedy(
     assert "no card.yaml and adapter.py here" in capsys.readouterr().err
     (tmp_path / "pyproject.toml").touch()
     assert check.main([str(tmp_path)]) == 2
-    assert "not installed; run" in capsys.readouterr().err
+    assert "not installed in editable mode; run" in capsys.readouterr().err
 
 
 def test_files_of_a_plugin_that_is_a_single_module(site: Path) -> None:
