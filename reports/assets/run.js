@@ -201,14 +201,17 @@ function drawHistory(library) {
   return drawIn(library, "run-history", traces, (narrow) => ({
     height: narrow ? 620 : 560, margin: { l: 62, r: 8, t: 30, b: 44 }, showlegend: true, legend: { orientation: "h", y: 1.02, yanchor: "bottom" },
     xaxis: { title: { text: AXES[axis] }, type: isLog ? "log" : "linear", anchor: "y3" },
-    yaxis: { domain: [0.7, 1], title: { text: "bounds" }, rangemode: "tozero", ...near(clipped([stage]).range, truth) },
+    yaxis: { domain: [0.7, 1], title: { text: "bounds" }, rangemode: "tozero", ...near(clipped([stage]).range, truth, stage.lower.at(-1)) },
     yaxis2: { domain: [0.36, 0.64], title: { text: "gap" }, type: gap.some((value) => value > 0) ? "log" : "linear" },
     yaxis3: { domain: [0, 0.3], title: { text: "error" }, rangemode: "tozero", ...near(farFrom(error), errorOf(truth)) },
   }));
 }
 
-// A range near the last values also shows the one of the reference pose.
-const near = (range, reference) => (range ? { range: [range[0], Math.max(range[1], 1.2 * reference)] } : {});
+// A range near the last upper bound also shows other values, such as the last lower bound.
+function near(range, ...others) {
+  const ends = others.map((value) => 1.2 * value);
+  return range ? { range: [Math.min(range[0], ...ends), Math.max(range[1], ...ends)] } : {};
+}
 
 function farFrom(values) {
   const known = values.filter((value) => value !== null), last = known.at(-1);

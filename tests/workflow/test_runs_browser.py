@@ -116,13 +116,14 @@ def test_the_view_of_a_run_shows_poses_pairs_bounds_and_replay(runs):
 def test_first_bounds_far_from_the_last_ones_do_not_flatten_the_others(runs):
     assert runs.execute_script("return farFrom([null, 5, 2, 1])") == [0, 2]
     assert runs.execute_script("return farFrom([3, 2, 1])") is None
-    assert runs.execute_script("return near([-1, 2], 5)") == {"range": [-1, 6]}
+    assert runs.execute_script("return near([-1, 2], 5, -10)") == {"range": [-12, 6]}
+    assert runs.execute_script("return near(undefined, 5)") == {}
     opened(runs, first_run(runs, method="Term-wise BnB (reconstructed)", status="time_limit"))
     history = "$('#run-history')"
-    runs.execute_script("clipped = () => ({ range: [-1, 3] })")
+    runs.execute_script("clipped = () => ({ range: [-1e9, 3] })")
     before = runs.execute_script(f"return {history}.layout.yaxis3.range")
     choose(runs, "#run-axis", "c.value = 'nodes'")
-    wait(runs, f"{history}.layout.yaxis.range[0] === -1")
+    wait(runs, f"{history}.layout.yaxis.range[0] === -1e9")
     assert runs.execute_script(f"return {history}.layout.yaxis3.range") == before
 
 
