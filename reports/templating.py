@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import jinja2
@@ -9,6 +11,7 @@ import jinja2
 from dcreg.plot import packing
 
 HERE = Path(__file__).parent
+NUMBER = re.compile(r"[+−-]?[\d.]+(?!\w)|–$")  # also with a unit or an interval, but not 2D
 
 
 def environment() -> jinja2.Environment:
@@ -21,7 +24,13 @@ def environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     found.globals["asset"] = asset
+    found.filters["numeric"] = numeric
     return found
+
+
+def numeric(rows: Sequence[Sequence[str]]) -> list[bool]:
+    """Return whether each column of a table of text contains numbers, which align to the right."""
+    return [all(map(NUMBER.match, column)) for column in zip(*rows, strict=True)]
 
 
 def asset(name: str) -> str:

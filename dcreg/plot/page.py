@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -17,6 +18,7 @@ from dcreg.problem import InputError
 TARGET, SOURCE, GREY = "#0072B2", "#D55E00", "#7F7F7F"
 LOWER, UPPER = "#009E73", "#CC79A7"
 _FAINT, _CLEAR = "rgba(127, 127, 127, 0.3)", "rgba(0, 0, 0, 0)"
+_MATRIX = re.compile(r"[-+.\dena\s]+")  # also nan
 _STYLE = Path(__file__).with_name("page.css")
 _DRAW = """
 const drawn = (async () => {
@@ -124,8 +126,10 @@ def page_title(kind: str, names: tuple[str, str]) -> str:
 def _fact(name: str, value: str) -> str:
     if "\n" not in value:
         return f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>"
-    block = escape(dedent(value))  # shown as it stands; a narrow screen scrolls it
-    return f'<div class="long"><dt>{escape(name)}</dt><dd tabindex="0">{block}</dd></div>'
+    # a matrix is shown as it stands, and a narrow screen scrolls it; lines of words wrap
+    kind, scrolls = ("matrix", ' tabindex="0"') if _MATRIX.fullmatch(value) else ("lines", "")
+    block = escape(dedent(value))
+    return f'<div class="{kind}"><dt>{escape(name)}</dt><dd{scrolls}>{block}</dd></div>'
 
 
 def _cells(tag: str, values: Sequence[str]) -> str:

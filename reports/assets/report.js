@@ -244,6 +244,8 @@ function boundsView(data) {
     const copy = structuredClone(layout);
     for (const [axis, title] of [["xaxis3", "time (s)"], ["xaxis4", work]]) copy[axis].title.text = title;
     for (const axis of ["yaxis", "yaxis2"]) copy[axis] = { ...copy[axis], ...range };
+    // plotly would give axes that match each other a default range once any other axis has one
+    for (const axis of ["yaxis3", "yaxis4"]) copy[axis].autorange = true;
     if (name === "narrow") { copy.xaxis.title.text = "time (s)"; copy.xaxis2.title.text = work; }
     layouts[name] = copy;
   }
@@ -298,10 +300,11 @@ function tellRuns(instance, stage) {
     row.lastChild.append(linkTo(run.run));
     return row;
   });
-  const table = document.createElement("table");
+  const table = make("table", "", { className: "stack" });
   table.append(document.createElement("thead"), document.createElement("tbody"));
   table.tHead.append(head);
   table.tBodies[0].append(...rows);
+  titleCells(table);
   $("#bounds-runs").replaceChildren(table);
 }
 

@@ -50,7 +50,7 @@ function tellRun({ data, at, run, record }) {
   );
   const facts = [
     ["RMSE over the true pairs", values.rmse[at]], ["error above the floor", record.rmse_excess], ["floor: fit to the true pairs", record.rmse_floor],
-    ["rotation error (°)", values.rotation[at]], ["translation error", record.translation_error], ["scale error", record.scale_error],
+    ["rotation error (°)", values.rotation[at]], ["translation error", record.translation_error], ["scale error", data.word("model", at) === "rigid3d" ? null : record.scale_error],
     ["objective E at this pose", record.objective], ["E at the reference pose", record.objective_true], ["best known objective E", record.objective_best],
     ["lower bound", record.lower_bound], ["upper bound", record.upper_bound], ["gap", record.gap], ["tolerance", record.gap_tol], ["scope of the bounds", record.scope],
     ["time (s)", values.time[at]], ["nodes", values.nodes[at]], ["assignments", record.n_assignments],
@@ -122,7 +122,7 @@ function cloudsText(clouds, record) {
 
 function pairLines(flat, clouds, record) {
   const residuals = residualsOf(clouds, record.pose), moved = move(clouds.source, record.pose);
-  return [["pairs within the noise bound", "--quiet", (r) => r <= record.noise_bound], ["pairs beyond it", "--warn", (r) => r > record.noise_bound]].map(([name, variable, fits]) => {
+  return [["pairs within the noise bound", "--quiet", (r) => r <= record.noise_bound], ["pairs beyond the noise bound", "--warn", (r) => r > record.noise_bound]].map(([name, variable, fits]) => {
     const ends = clouds.pairs.flatMap(([i, j], at) => (fits(residuals[at]) ? [moved[i], clouds.target[j], []] : []));
     const axis = (which) => ends.map((p) => p[which] ?? null);
     return {
@@ -140,11 +140,11 @@ const residualsOf = (clouds, pose) => {
 function overlayLayout(flat, narrow) {
   const layout = {
     height: narrow ? 420 : Math.min(620, innerHeight * 0.7), margin: { l: 40, r: 8, t: 8, b: 28 }, showlegend: true,
-    legend: { orientation: "h", x: 0, xanchor: "left", y: -0.08, yanchor: "top" }, uirevision: current.run,
+    legend: { orientation: "h", x: 0, xanchor: "left", y: -0.08, yanchor: "top", itemsizing: "constant" }, uirevision: current.run,
   };
   if (flat) return { ...layout, xaxis: {}, yaxis: { scaleanchor: "x" } };
   const axis = { title: { text: "" }, gridcolor: color("--grid"), color: color("--quiet"), showbackground: false };
-  return { ...layout, scene: { aspectmode: "data", xaxis: axis, yaxis: axis, zaxis: axis } };
+  return { ...layout, scene: { aspectmode: "data", camera: { eye: { x: 1.5, y: 1.5, z: 1.1 } }, xaxis: axis, yaxis: axis, zaxis: axis } };
 }
 
 function drawResiduals(library) {
@@ -186,23 +186,36 @@ function drawHistory(library) {
   });
   const flat = (value, panel, name) => ({ ...line([value, value], panel, name, "--quiet", "dot"), mode: "lines", x: ends });
   const gap = stage.upper.map((upper, at) => (upper === null || stage.lower[at] === null ? null : Math.max(0, upper - stage.lower[at])));
-  const error = stage.upper.map((upper) => (upper === null ? null : Math.sqrt(Math.max(0, upper) / record.n_inliers)));
+  const errorOf = (objective) => Math.sqrt(Math.max(0, objective) / record.n_inliers);
+  const error = stage.upper.map((upper) => (upper === null ? null : errorOf(upper)));
+  const truth = record.is_of_pose ? record.objective_true ?? 0 : 0;
   const traces = [
     line(stage.upper, "y", "upper bound", "--source", "dash"), line(stage.lower, "y", "lower bound", "--accent"),
     line(gap, "y2", "gap", "--good"), line(error, "y3", "error of the incumbent", "--source"),
   ];
   if (record.gap_tol) traces.push(flat(record.gap_tol, "y2", "tolerance"));
   if (record.is_of_pose && record.objective_true !== undefined) {
-    traces.push(flat(record.objective_true, "y", "E at the reference pose"), flat(Math.sqrt(record.objective_true / record.n_inliers), "y3", "error of the reference pose"));
+    traces.push(flat(record.objective_true, "y", "E at the reference pose"), flat(errorOf(truth), "y3", "error of the reference pose"));
   }
-  $("#run-history-text").textContent = `Error of the incumbent: √(upper bound / n_inliers), the RMS residual per pair${record.is_of_pose ? "" : " of the quantity that this stage bounds"}. Dotted lines: values at the reference pose, and the tolerance. The bounds refer to: ${record.scope || "the objective of the stage"}. The history is thinned for display.`;
+  $("#run-history-text").textContent = `Error of the incumbent: √(upper bound / n_inliers), the RMS residual per pair${record.is_of_pose ? "" : " of the quantity that this stage bounds"}. Dotted lines: values at the reference pose, and the tolerance. The bounds refer to: ${record.scope || "the objective of the stage"}. The history is thinned for display. If values are far from the last ones, a panel shows only the range near these; double-click it to see all.`;
   return drawIn(library, "run-history", traces, (narrow) => ({
     height: narrow ? 620 : 560, margin: { l: 62, r: 8, t: 30, b: 44 }, showlegend: true, legend: { orientation: "h", y: 1.02, yanchor: "bottom" },
     xaxis: { title: { text: AXES[axis] }, type: isLog ? "log" : "linear", anchor: "y3" },
-    yaxis: { domain: [0.7, 1], title: { text: "bounds" }, rangemode: "tozero" },
+    yaxis: { domain: [0.7, 1], title: { text: "bounds" }, rangemode: "tozero", ...near(clipped([stage]).range, truth, stage.lower.at(-1)) },
     yaxis2: { domain: [0.36, 0.64], title: { text: "gap" }, type: gap.some((value) => value > 0) ? "log" : "linear" },
-    yaxis3: { domain: [0, 0.3], title: { text: "error" }, rangemode: "tozero" },
+    yaxis3: { domain: [0, 0.3], title: { text: "error" }, rangemode: "tozero", ...near(farFrom(error), errorOf(truth)) },
   }));
+}
+
+// A range near the last upper bound also shows other values, such as the last lower bound.
+function near(range, ...others) {
+  const ends = others.map((value) => 1.2 * value);
+  return range ? { range: [Math.min(range[0], ...ends), Math.max(range[1], ...ends)] } : {};
+}
+
+function farFrom(values) {
+  const known = values.filter((value) => value !== null), last = known.at(-1);
+  return last > 0 && Math.max(...known) > 4 * last ? [0, 2 * last] : null;
 }
 
 // ---- events ------------------------------------------------------------------------------------

@@ -85,7 +85,7 @@ function rowOf(data, at) {
       cell.append(linkTo(data.values.run[at]));
     } else if (name === "method") cell.append(dotOf(method), data.names[data.values.method[at]]);
     else if (name === "answer") cell.append(badgeOf(data.word("answer", at)));
-    else cell.textContent = format ? format(data.values[name][at]) : data.word(name, at).replaceAll("_", " ");
+    else cell.textContent = format ? format(data.values[name][at]) : name === "test" ? data.word(name, at).replaceAll("_", " ") : data.word(name, at);
     row.append(cell);
   }
   return row;

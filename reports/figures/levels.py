@@ -128,10 +128,12 @@ def _floors(runs: pd.DataFrame) -> dict[tuple[str, str], pd.Series]:
 def _floor_trace(floor: pd.Series | None, axes: tuple[str, str]) -> list[dict[str, Any]]:
     if floor is None:
         return []
+    marker = {"symbol": "line-ew-open", "size": 22, "line": {"width": 1.5}}
+    look = {"mode": "lines"} if len(floor) > 1 else {"mode": "markers", "marker": marker}
     return [
         {
             "x": list(floor.index), "y": list(floor), "xaxis": axes[0], "yaxis": axes[1],
-            "mode": "lines", "line": {"dash": "dash", "width": 1.5}, "name": FLOOR,
+            **look, "line": {"dash": "dash", "width": 1.5}, "name": FLOOR,
             "hovertemplate": f"{FLOOR}<br>level %{{x}}: %{{y:.4g}}<extra></extra>",
             "meta": {"role": "floor"},
         }

@@ -224,7 +224,7 @@ def _draw_markers(
     opened = np.array([LIMITED in symbol for symbol in symbols], dtype=bool)
     dotted = np.array([symbol.endswith(NO_POSE) for symbol in symbols], dtype=bool)
     role = trace["meta"]["role"]
-    marker = style.marker if style else "+" if role == "target" else "o"
+    marker = style.marker if style else {"target": "+", "floor": "_"}.get(role, "o")
     for which, face in ((~opened, color), (opened, "white")):
         axis.plot(
             x[which], y[which], linestyle="none", marker=marker, markersize=4,

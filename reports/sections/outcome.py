@@ -202,8 +202,9 @@ def _prior(runs: pd.DataFrame) -> str:
 def _named(names: np.ndarray, dataset: str) -> str:
     if list(names) == [dataset]:
         return dataset
-    few = [str(name) for name in names[:MAX_NAMED]]
-    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+    # one more name is as short as "and 1 more"
+    few = [*map(str, names if len(names) <= MAX_NAMED + 1 else names[:MAX_NAMED])]
+    more = f" and {len(names) - len(few)} more" if len(names) > len(few) else ""
     return ", ".join(few) + more + f" of {dataset}"
 
 

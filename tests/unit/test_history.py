@@ -68,9 +68,12 @@ def test_the_page_is_one_file_and_names_version_and_verdict(history, tmp_path):
     text = page.build(tmp_path, history, planted).read_text()
     assert not re.search(r"<(script|link|img)|https?://", text)
     assert text.count("<polyline") == len(lines(history)) + 1
-    rows = re.findall(r'<tr><th scope="row">v3</th><td>e</td>.*?</tr>', text)
+    rows = re.findall(
+        r'<tr><th scope="row">v3</th><td data-title="experiment">e</td>.*?</tr>', text
+    )
     assert len(rows) == 2
     assert f"{N_RUNS - 2} of {N_RUNS - 2} runs differ" in " ".join(rows)
+    assert f"; {N_RUNS - 2} worse, 0 better</td>" in " ".join(rows)
     assert "Slow-down: 1 alarm in 2 comparisons." in text
 
 

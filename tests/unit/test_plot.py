@@ -19,6 +19,7 @@ from dcreg import (
 )
 from dcreg.plot import registration as plot
 from dcreg.plot.packing import unpack
+from dcreg.plot.page import write_page
 from dcreg.plot.sweep import sweep_figures
 from tests.results import made_result
 
@@ -138,6 +139,15 @@ def test_page_states_the_result_once(case, tmp_path):
         "<dt>scope of bounds</dt><dd>translation in norm space</dd>",
     ):
         assert html.count(words) == 1
+
+
+def test_lines_of_words_wrap_and_a_matrix_keeps_its_columns(tmp_path):
+    path = tmp_path / "page.html"
+    facts = [("pose", "  1 -2e-3\n  0   nan"), ("pairs", "3, chosen\nresiduals: 1: 0.1, 2: 0.2")]
+    write_page(path, "title", "status", {}, facts=facts)
+    html = path.read_text(encoding="utf-8")
+    assert '<div class="matrix"><dt>pose</dt><dd tabindex="0">1 -2e-3\n0   nan</dd>' in html
+    assert '<div class="lines"><dt>pairs</dt><dd>3, chosen\nresiduals: 1: 0.1, 2: 0.2</dd>' in html
 
 
 def test_page_is_one_file_for_both_themes_and_always_the_same(case, tmp_path):

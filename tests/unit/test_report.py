@@ -20,7 +20,7 @@ from scipy.stats import binomtest
 from baselines import registry
 from dcreg.plot import packing
 from reports import page as pages
-from reports import paired, standing, theme
+from reports import paired, standing, templating, theme
 from reports.build import build
 from reports.figures import attribution, levels, printing, profile, standalone
 from reports.figures.figure import Figure
@@ -305,6 +305,21 @@ def test_level_figure_shows_the_numbers_of_the_table(tables, flat):
     assert cell["run_id"].iloc[0] in "".join(trace["text"])
 
 
+def test_the_floor_of_a_single_level_is_visible(tables, styles):
+    once = tables.runs[
+        tables.runs["level"] == tables.runs.groupby("test")["level"].transform("max")
+    ]
+    found = levels.build(dataclasses.replace(tables, runs=once), styles, "similarity2d")
+    floors = [
+        trace
+        for trace in found.payload["views"]["rmse"]["data"]
+        if trace["meta"]["role"] == "floor"
+    ]
+    assert {trace["mode"] for trace in floors} == {"markers"}
+    drawn = printing.draw(floors, found.grid, styles, "", ("floor",))
+    assert "_" in {line.get_marker() for axes in drawn.axes for line in axes.lines}
+
+
 @pytest.mark.parametrize("statistic", ["median", "mean"])
 def test_print_figure_cuts_no_data(flat, styles, statistic):
     view = flat.payload["views"]["rmse"]["data"]
@@ -497,6 +512,19 @@ def test_the_filter_of_methods_reaches_the_boxes_per_stage(html):
     rows = re.findall(r'<tr data-method="([^"]*)"><th scope="row">', shown)
     assert {"dcreg-full", "dcreg-half"} <= set(rows)
     assert len(rows) == shown.count('<th scope="row">')
+
+
+def test_columns_of_words_are_aligned_to_the_left(html):
+    rows = [("a", "2D", "7\u202f059", "65 % [43, 82]"), ("b", "3D", "–", "-0.1")]
+    assert templating.numeric(rows) == [False, False, True, True]
+    stages = html.split('id="stages"')[1].split("</table>")[0]
+    assert '<th scope="col">stage</th>' in stages
+    assert '<th scope="col" class="n">median boxes</th>' in stages
+
+
+def test_names_of_pairs_are_left_out_only_if_that_is_shorter():
+    assert outcome._named(np.array(list("abcde")), "mine") == "a, b, c, d, e of mine"
+    assert outcome._named(np.array(list("abcdef")), "mine") == "a, b, c, d and 2 more of mine"
 
 
 def test_methods_without_an_attempted_run_are_folded(html):

@@ -125,6 +125,19 @@ def test_page_has_no_barrier_and_prints_over_nothing(browser, pages, kind):
     assert {url for url in requests(browser) if not url.startswith(folder)} == set()
 
 
+def test_tables_of_pages_without_scripts_are_cards_on_a_phone(browser, pages):
+    """Their headings, which nothing can sort by, are not shown."""
+    view(browser, 420, "light")
+    for kind in ("archive", "claims", "history"):
+        open_page(browser, pages[kind])
+        widths = browser.execute_script(
+            "return [...document.querySelectorAll('table')].filter(t => t.offsetParent)"
+            ".map(t => [t.scrollWidth, t.parentElement.clientWidth, t.tHead.offsetHeight])"
+        )
+        assert widths, kind
+        assert all(own <= room and not head for own, room, head in widths), kind
+
+
 def test_view_of_a_run_has_no_barrier(browser, pages):
     view(browser, 420, "dark")
     open_page(browser, pages["report"])

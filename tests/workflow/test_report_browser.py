@@ -88,6 +88,18 @@ def test_bounds_far_from_the_last_ones_do_not_flatten_the_others(page):
     assert page.execute_script(script, [0, 1], [3, 2]) == {}
 
 
+def test_all_gaps_are_in_view_where_the_bounds_are_cut(page):
+    element = drawn(page, "bounds")
+    page.execute_script("clipped = () => ({ range: [0, 1] })")
+    redrawn(page, element, '[data-for="bounds"][data-scale="x"]', "c.checked = false")
+    low, high = page.execute_script(f"return {element}._fullLayout.yaxis3.range")
+    gaps = page.execute_script(
+        f"return {element}.data.filter(t => t.meta.role === 'gap' && t.yaxis === 'y3')"
+        ".flatMap(t => t.y).filter(y => y > 0).map(Math.log10)"
+    )
+    assert low <= min(gaps) <= max(gaps) <= high
+
+
 def test_every_figure_is_drawn_when_reached(page):
     names = page.execute_script("return figures.map(f => f.dataset.figure)")
     assert {"paper-examples", "paper-2d", "paper-3d", "levels-similarity2d", "bounds"} <= set(names)
@@ -413,7 +425,7 @@ def test_phone_has_no_sideways_scroll_and_stacked_panels(page, scheme):
     page.execute_script("arguments[0].click()", head)
     values = [float(value) for value in column(page, "outcomes", 2)]
     assert values == sorted(values)
-    for table in ("outcomes", "accounting", "summary", "unfinished"):
+    for table in ("outcomes", "accounting", "summary", "unfinished", "bounds-runs"):
         edges = page.execute_script(
             "return $$(`#${arguments[0]} td`).map(c => c.getBoundingClientRect().right)", table
         )

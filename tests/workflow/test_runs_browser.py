@@ -93,6 +93,7 @@ def test_the_view_of_a_run_shows_poses_pairs_bounds_and_replay(runs):
     assert f"make replay RUN={run}" in text
     names = runs.execute_script("return $('#run-overlay').data.map(t => t.name)")
     assert {"target", "source, pose found", "source, reference pose"} <= set(names)
+    assert "pairs beyond the noise bound" in names
     names = runs.execute_script("return $('#run-history').data.map(t => t.name)")
     assert {"lower bound", "upper bound", "gap", "error of the incumbent", "tolerance"} <= set(
         names
@@ -110,6 +111,20 @@ def test_the_view_of_a_run_shows_poses_pairs_bounds_and_replay(runs):
     )
     runs.execute_script("$('#run-close').click()")
     wait(runs, "!$('#run').open && location.hash === ''")
+
+
+def test_first_bounds_far_from_the_last_ones_do_not_flatten_the_others(runs):
+    assert runs.execute_script("return farFrom([null, 5, 2, 1])") == [0, 2]
+    assert runs.execute_script("return farFrom([3, 2, 1])") is None
+    assert runs.execute_script("return near([-1, 2], 5, -10)") == {"range": [-12, 6]}
+    assert runs.execute_script("return near(undefined, 5)") == {}
+    opened(runs, first_run(runs, method="Term-wise BnB (reconstructed)", status="time_limit"))
+    history = "$('#run-history')"
+    runs.execute_script("clipped = () => ({ range: [-1e9, 3] })")
+    before = runs.execute_script(f"return {history}.layout.yaxis3.range")
+    choose(runs, "#run-axis", "c.value = 'nodes'")
+    wait(runs, f"{history}.layout.yaxis.range[0] === -1e9")
+    assert runs.execute_script(f"return {history}.layout.yaxis3.range") == before
 
 
 def test_a_run_in_3d_can_be_turned_and_a_missing_one_is_named(runs):
