@@ -115,6 +115,7 @@ baselines: setup
 ## new-baseline: create a method from the template, NAME=name (IN=folder: in another folder than baselines)
 .PHONY: new-baseline
 new-baseline: setup
+	@test -n "$(NAME)" || { echo "the name is missing: make new-baseline NAME=my_method" >&2; exit 2; }
 	@$(BIN)/python -m workflows new-baseline $(NAME) $(if $(IN),--in $(IN))
 
 ## check: check methods against the contract, METHOD=name, folder or package
