@@ -151,7 +151,7 @@ class CheckpointFile:
         space.ends = [(np.array(theta), value) for theta, value in state["ends"]]
         space.is_confirmed = state["is_confirmed"]
         course.n_shares, course.abandoned_s = state["n_shares"], state["abandoned_s"]
-        course.proven = tuple(state["proven"])
+        course.proven, course.too_large = tuple(state["proven"]), state["too_large"]
         course.confined = [_confined(each) for each in state["confined"]]
         for bound, saved in zip(_parts(search.bound), state["bounds"], strict=True):
             bound.n_assignments = saved["n_assignments"]
@@ -180,7 +180,7 @@ def _state_of(course: Course) -> dict[str, Any]:
     return {
         "elapsed_s": budget.elapsed(), "history": budget.history, "bounds": bounds,
         "ends": [(theta.tolist(), value) for theta, value in space.ends],
-        "is_confirmed": space.is_confirmed, "n_shares": course.n_shares,
+        "is_confirmed": space.is_confirmed, "n_shares": course.n_shares, "too_large": course.too_large,
         "abandoned_s": course.abandoned_s, "proven": course.proven, "confined": course.confined,
         "search": _search_state(search), "part": None if part is None else _search_state(part),
     }  # fmt: skip

@@ -298,9 +298,10 @@ class Search:
         if not len(boxes):
             self.prospect = Prospect(done)
             return 0.0
+        spent_s = began - self.patience_began
         found = Prospect.of(
             self.bound.fresh(), self.branching, self.cutoff, boxes, self.within_region, self.budget,
-            began - self.patience_began,
+            spent_s, (spent_s - self.not_bounding_s) / max(done, 1),
         )  # fmt: skip
         self.prospect = replace(found, n_nodes=done + found.n_nodes)
         self.not_bounding_s += self.budget.elapsed() - began

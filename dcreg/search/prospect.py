@@ -127,11 +127,13 @@ class Prospect:
         within_region: Callable[[Boxes], Boxes],
         budget: Budget,
         spent_s: float,
+        box_s: float = 0.0,
     ) -> Prospect:
         """Estimate by random descents; 0 boxes if the solve is stopped meanwhile.
 
         `bound` must not be that of the search, because data that it stores about boxes would change the
-        search. `spent_s` are the seconds of the patience that are used.
+        search. `spent_s` are the seconds of the patience that are used, `box_s` those per box so far; if
+        they are unknown, the estimate does not end early.
         """
         began = budget.elapsed()
         # the clock must not change a counted search
@@ -141,8 +143,9 @@ class Prospect:
             return budget.elapsed() - began > ESTIMATE_SHARE * left_s
 
         def is_enough(mean: float, n_tried: int) -> bool:
-            box_s = (budget.elapsed() - began) / n_tried
-            return mean * box_s > CERTAIN_TIME_RATIO * left_s
+            # the smaller of both times: a new bound is slow at first
+            fastest_s = min(box_s, (budget.elapsed() - began) / n_tried)
+            return mean * fastest_s > CERTAIN_TIME_RATIO * left_s
 
         try:
             found = expected_boxes(

@@ -178,6 +178,8 @@ class Course:
         Whether a limit ended the search for initial poses. It is then repeated, not continued.
     n_shares : int
         Shares of the cutoff that were tried.
+    too_large : float
+        The smallest share that the cover gave up; above 1 if there is none.
     confined : list of Confined
         What the cover returned.
     abandoned_s : dict of str to float
@@ -192,6 +194,7 @@ class Course:
     search: Search
     is_cut: bool = False
     n_shares: int = 0
+    too_large: float = 2.0
     confined: list[Confined] = field(default_factory=list)
     abandoned_s: dict[str, float] = field(default_factory=dict)
     proven: tuple[float, float] = (0.0, 0.0)
@@ -222,7 +225,8 @@ def _with_cover(course: Course, cover: Cover, patience_s: float | None) -> Outco
             break  # boxes alone prove the whole cutoff
         share, paused_at = cover.shares[course.n_shares], budget.elapsed()
         tolerance = _share_of(search.tolerance, share)
-        if course.part is None and tolerance.cutoff(search.upper_bound) > search.floor:
+        is_open = tolerance.cutoff(search.upper_bound) > search.floor
+        if course.part is None and is_open and share < course.too_large:
             allowed_s = min(_allowed_s(search, cover, patience_s), WORTH * search_s)
             confined = _confined(search, cover, tolerance.cutoff(search.upper_bound), allowed_s)
             course.proven = cover.proven
@@ -237,6 +241,7 @@ def _with_cover(course: Course, cover: Cover, patience_s: float | None) -> Outco
             elif budget.is_over:
                 break  # a continued search tries this share again
             else:
+                course.too_large = share
                 spent_s = budget.elapsed() - paused_at
                 course.abandoned_s[cover.stage] = course.abandoned_s.get(cover.stage, 0.0) + spent_s
                 search.resume(paused_at)

@@ -144,7 +144,8 @@ def test_a_run_that_failed_has_no_time() -> None:
         "run_id": ["a", "b"], "model": "rigid3d", "test": "pair", "method": ["good", "raises"],
         "display_name": ["good", "raises"], "status": ["converged", "failed"],
         "outcome": ["finished", "failed"], "rmse": [0.1, np.nan], "success": [True, False],
-        "gap": np.nan, "bound_ratio": np.nan, "time_solve_s": [2.0, 0.0001], "machine_id": "m", "parallel_jobs": 1.0,
+        "gap": np.nan, "bound_ratio": np.nan, "time_solve_s": [2.0, 0.0001], "machine_id": "m",
+        "parallel_jobs": 1.0,
     })  # fmt: skip
     times = summarise(runs).set_index("method")["median_time_s"]
     assert times["good"] == 2.0

@@ -316,7 +316,7 @@ def test_the_time_of_a_cover_is_counted_once(set_clock, monkeypatch):
 
 def test_a_cover_that_gives_up_is_shown_and_its_time_is_kept(set_clock, monkeypatch):
     class GivesUp(SlowCover):
-        shares = (0.5, 1.0)
+        shares = (1.0, 0.5)
 
         def confine(self, cutoff, budget, allowed_s):
             self.clock.now += 3.0
@@ -337,10 +337,8 @@ def test_a_cover_that_gives_up_is_shown_and_its_time_is_kept(set_clock, monkeypa
 class Asked(SlowCover):
     """Proves nothing, and keeps the seconds that it was given."""
 
-    shares = (0.25, 1.0, 0.5)
-
-    def __init__(self, box_s):
-        self.box_s, self.allowed = box_s, []
+    def __init__(self, box_s, shares=(1.0, 0.5)):
+        self.box_s, self.shares, self.allowed = box_s, shares, []
 
     def confine(self, cutoff, budget, allowed_s):
         self.allowed.append(allowed_s)
@@ -349,8 +347,8 @@ class Asked(SlowCover):
 @pytest.mark.parametrize(
     ("box_s", "asked"),
     [
-        (1e-3, 2),  # boxes alone end soon, so the half is not needed
-        (1e3, 3),  # they do not
+        (1e-3, 1),  # boxes alone end soon, so the half is not needed
+        (1e3, 2),  # they do not
     ],
 )
 def test_a_cover_may_take_a_part_of_the_time_that_boxes_take(box_s, asked, monkeypatch):
@@ -359,6 +357,14 @@ def test_a_cover_may_take_a_part_of_the_time_that_boxes_take(box_s, asked, monke
     space_search._with_cover(space_search.Course(None, paused), cover, None)
     most = [space_search.WORTH * 5000.0 * box_s, space_search.COVER_SHARE * 100.0]
     assert cover.allowed == pytest.approx([min(most)] * asked, rel=0.01)
+
+
+def test_a_cover_that_gave_up_a_share_is_not_asked_for_larger_ones(monkeypatch):
+    """They take longer: four attempts in turn took 7 s of a run that was over after 1 s."""
+    paused, cover = paused_search(Budget(time_s=100.0)), Asked(1e3, (0.25, 1.0, 0.5, 0.125))
+    monkeypatch.setattr(Search, "estimate", lambda self: 5000.0)
+    space_search._with_cover(space_search.Course(None, paused), cover, None)
+    assert len(cover.allowed) == 2
 
 
 def test_nothing_is_estimated_without_open_boxes():
