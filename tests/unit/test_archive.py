@@ -297,7 +297,7 @@ def test_all_pages_are_built_from_an_archive(archive, tmp_path):
     runs = pd.read_parquet(archive / "runs.parquet")
     outcomes = runs.loc[runs["experiment"] == "one", "outcome"].value_counts()
     row = text.split(f'href="{reports[0]}"')[1].split("</tr>")[0]
-    shown = [int(count) for count in re.findall(r'<td class="n">(\d+)</td>', row)]
+    shown = [int(count) for count in re.findall(r'<td class="n"[^>]*>(\d+)</td>', row)]
     titles = re.findall(r'<th scope="col" class="n">(.*?)</th>', text)
     stated = dict(zip(titles, shown, strict=True))
     assert stated.pop("planned runs") == sum(shown[1:]) == outcomes.sum()
