@@ -130,10 +130,10 @@ def match_at(
     at_once : int
         Maximum number of pairs of points that are matched exactly even if `stop` is set.
     """
-    moved = apply_pose(T_target_source, source)
-    if len(source) * len(target) <= at_once:
+    moved, n_pairs = apply_pose(T_target_source, source), len(source) * len(target)
+    is_dense = not is_large(len(source), len(target))
+    if n_pairs <= at_once:
         stop = NEVER
-    n_pairs, is_dense = len(source) * len(target), not is_large(len(source), len(target))
     if candidates is None and (stop[0] or n_pairs > _MANY_PAIRS):
         found = sparse.sparse_matching(
             moved, target, n_inliers, prove=prove or is_dense,

@@ -218,14 +218,14 @@ def _refined_dense(
     before, pairs, greedy = quick_objective(problem, T, known, prove=False, stop=budget.hard_stop)
     poses, ends, spent = [(before, T, pairs)], [], 1
     tree = tree_of(problem.target)
-    near = [near_value(problem, pose, tree) for pose in (T, *others)]
-    for other, distances in zip(others, near[1:], strict=True):
+    for other in others:
         if known is not None and other is known.T_target_source:
             value, pairs = known.cheapest(*clouds, other, k)
         elif budget.is_over:
             continue
-        elif distances > MAX_OBJECTIVE_RATIO * min(near):  # a matching so far away takes long
-            ends.append((other, _estimate(problem, before, near[0], distances)))
+        # no matching costs less than the distances to the target; one so far away takes long
+        elif (far := near_value(problem, other, tree)) > MAX_OBJECTIVE_RATIO * before:
+            ends.append((other, _estimate(problem, before, near_value(problem, T, tree), far)))
             continue
         else:
             value, pairs = objective(*clouds, other, k, prove=False, stop=budget.hard_stop)

@@ -26,7 +26,7 @@ _PANELS = {
 WORK = {"n_nodes": "nodes", "n_assignments": "assignments"}  # column -> title; a view for each
 _MOST_STEPS = 250
 _SMALLEST = 1e-6  # error or time on a logarithmic axis; work starts at 1
-_NEEDED = ["model", "method", "outcome", "machine_id", "success", _ERROR, _TIME]
+_NEEDED = ["model", "method", "outcome", "success", _ERROR, _TIME]
 
 
 def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:

@@ -73,7 +73,7 @@ def test_the_page_is_one_file_and_names_version_and_verdict(history, tmp_path):
     )
     assert len(rows) == 2
     assert f"{N_RUNS - 2} of {N_RUNS - 2} runs differ" in " ".join(rows)
-    assert f"; {N_RUNS - 2} worse, 0 better</td>" in " ".join(rows)
+    assert f": {N_RUNS - 2} with more work, 0 with less" in " ".join(rows)
     assert "Slow-down: 1 alarm in 2 comparisons." in text
 
 

@@ -115,7 +115,7 @@ def test_clouds_of_some_hundred_points_are_matched_exactly(rng, monkeypatch, ang
 
 
 def test_no_local_search_begins_at_a_poor_box_of_large_clouds(rng, monkeypatch):
-    """One from the first boxes took a third of the time of a run, and found nothing."""
+    """One from the first boxes took a third of the time of a run."""
     size = 220
     source = spiral(rng, size)
     target = moved_copy(rng, source)

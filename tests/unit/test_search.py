@@ -293,6 +293,19 @@ def test_an_estimate_that_takes_long_is_short(set_clock, patience_s, is_short):
     assert found.tried_s == set_clock.now - budget._began
 
 
+def test_slow_calls_of_a_new_bound_end_no_estimate(set_clock):
+    """They made it far too low: the search then went on instead of ending."""
+
+    def n_tried(box_s):
+        budget = Budget(time_s=1e6).with_patience(5.0)
+        return Prospect.of(
+            SlowRipples(set_clock), LongestEdge(np.ones(2)), 0.1, Boxes.of(ROOT),
+            lambda boxes: boxes, budget, 0.0, box_s,
+        ).n_tried  # fmt: skip
+
+    assert n_tried(50.0) < n_tried(1e-6) == n_tried(0.0)
+
+
 class SlowCover:
     """Takes three seconds and confines the search to a part of the roots."""
 
@@ -360,9 +373,16 @@ def test_a_cover_may_take_a_part_of_the_time_that_boxes_take(box_s, asked, monke
 
 
 def test_a_cover_that_gave_up_a_share_is_not_asked_for_larger_ones(monkeypatch):
-    """They take longer: four attempts in turn took 7 s of a run that was over after 1 s."""
+    """They take longer: four attempts, all given up, took 7 s of a run."""
     paused, cover = paused_search(Budget(time_s=100.0)), Asked(1e3, (0.25, 1.0, 0.5, 0.125))
     monkeypatch.setattr(Search, "estimate", lambda self: 5000.0)
+    space_search._with_cover(space_search.Course(None, paused), cover, None)
+    assert len(cover.allowed) == 2
+
+
+def test_a_cover_without_a_time_per_box_needs_no_estimate(monkeypatch):
+    paused, cover = paused_search(Budget(time_s=100.0)), Asked(np.inf)
+    monkeypatch.setattr(Search, "estimate", lambda self: pytest.fail("estimated"))
     space_search._with_cover(space_search.Course(None, paused), cover, None)
     assert len(cover.allowed) == 2
 
@@ -371,3 +391,4 @@ def test_nothing_is_estimated_without_open_boxes():
     paused = paused_search()
     paused.narrow(Confined(Boxes(np.empty((0, 2)), np.empty((0, 2))), 1e-4))
     assert paused.estimate() == 0.0
+    assert paused.prospect == Prospect(paused.n_nodes - paused.n_nodes_before)
