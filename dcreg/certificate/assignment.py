@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.optimize import linear_sum_assignment
 
 NEIGHBOURS = 4  # solved parameters whose duals are averaged
 MAX_CELLS = 1 << 20  # numbers held at once on a line
@@ -56,9 +55,52 @@ def cheapest_pairs(cost: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
     (n,) int array
         The column of each row in these costs.
     """
-    n, _ = cost.shape
-    cost = np.hstack([cost, np.zeros((n, n - k))])
+    from scipy.optimize import linear_sum_assignment  # not needed for rigid poses
+
+    cost = _with_free_columns(cost, k)
     return cost, linear_sum_assignment(cost)[1]
+
+
+def shortest_paths(cost: np.ndarray, k: int) -> tuple[float, np.ndarray]:
+    """Return the sum of the k cheapest one-to-one pairs of (n, m) costs, and optimal duals, in NumPy.
+
+    Rows are matched one after the other, each along a shortest augmenting path (Jonker and Volgenant,
+    Computing 38, 1987, without their initialisation).
+
+    Returns
+    -------
+    float
+    (m,) array
+    """
+    m, cost = cost.shape[1], _with_free_columns(cost, k)
+    duals, row_of = np.zeros(cost.shape[1]), np.full(cost.shape[1], -1)
+    column_of = np.full(len(cost), -1)
+    for row in range(len(cost)):
+        length, before = cost[row] + duals, np.full(cost.shape[1], row)
+        ahead, is_done = length.copy(), np.zeros(cost.shape[1], dtype=bool)
+        column = int(ahead.argmin())
+        while row_of[column] >= 0:
+            is_done[column], ahead[column] = True, np.inf
+            last = row_of[column]
+            through = cost[last] + duals
+            through += length[column] - through[column]
+            shorter = (through < length) & ~is_done
+            length[shorter] = ahead[shorter] = through[shorter]
+            before[shorter] = last
+            column = int(ahead.argmin())
+        duals[is_done] += length[column] - length[is_done]
+        while True:  # each row of the path takes the column that reaches it
+            last = before[column]
+            row_of[column] = last
+            column, column_of[last] = column_of[last], column
+            if last == row:
+                break
+    return float(cost[np.arange(len(cost)), column_of].sum()), duals[:m]
+
+
+def _with_free_columns(cost: np.ndarray, k: int) -> np.ndarray:
+    """Return (n, m) costs with n - k free columns, for the rows that remain unmatched."""
+    return np.hstack([cost, np.zeros((len(cost), len(cost) - k))])
 
 
 def duals_of(cost: np.ndarray, columns: np.ndarray) -> np.ndarray:

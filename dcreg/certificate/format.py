@@ -21,7 +21,8 @@ from dcreg._version import __version__
 from dcreg.files import whole_file
 
 FORMAT = "dcreg leaf cover"
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
+WITHOUT_DUALS = 4  # the version before had no duals
 MODELS = {  # dimension of the points, and number of parameters
     "similarity2d": (2, 4),
     "translation3d": (3, 3),
@@ -37,7 +38,9 @@ OPEN = 2  # a limit ended the search first
 
 _MAGIC = b"PK"  # an .npz is a zip file
 # By entry or by annotation; all others are floats.
-_DTYPES: dict[str, type] = {"candidates": np.int64, "leaf_reasons": np.int8}
+_DTYPES: dict[str, type] = {
+    "candidates": np.int64, "leaf_reasons": np.int8, "leaf_duals": np.uint8, "dual_units": np.int8,
+}  # fmt: skip
 _DTYPES |= {"int": np.int64, "str": np.str_}
 
 
@@ -96,6 +99,11 @@ class Certificate:
     lower_bound, upper_bound, gap_tol : float
     candidates : (c, 2) int array
         The feasible pairs, source and target index; if empty, every pair is feasible.
+    leaf_duals : (L, m) uint8 array
+        Rigid 3D poses: dual variables of the points of the larger cloud, which the check of a leaf begins
+        with. Any values are valid. Empty if there are none.
+    dual_units : (L,) int8 array
+        Their units are the powers of two with these exponents, in squared normalised units.
     dcreg_version : str
         Version of the library that wrote it.
     """
@@ -122,6 +130,8 @@ class Certificate:
     upper_bound: float
     gap_tol: float
     candidates: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    leaf_duals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+    dual_units: np.ndarray = field(default_factory=lambda: np.empty(0))
     dcreg_version: str = field(default=__version__)
 
     def __post_init__(self) -> None:
@@ -187,13 +197,18 @@ def read(path: str | Path) -> Certificate:
         raise NoCertificateError(path, f"not a {FORMAT}")
     names = {entry.name for entry in fields(Certificate)} | {"format", "format_version"}
     version = str(arrays.get("format_version"))
-    if version != str(FORMAT_VERSION):
-        problem = f"format version {version}, but this dcreg reads version {FORMAT_VERSION} only"
+    if version not in (str(FORMAT_VERSION), str(WITHOUT_DUALS)):
+        known = f"versions {WITHOUT_DUALS} and {FORMAT_VERSION}"
+        problem = f"format version {version}, but this dcreg reads {known} only"
         raise NoCertificateError(path, problem)
-    wrong = sorted(names ^ set(arrays))
+    absent: dict[str, np.ndarray] = {}
+    if version == str(WITHOUT_DUALS):
+        absent = {"leaf_duals": np.empty((0, 0), np.uint8), "dual_units": np.empty(0, np.int8)}
+    wrong = sorted((names - set(absent)) ^ set(arrays))
     require(not wrong, f"{path}: wrong entries: {wrong}")
     is_whole = stated == _checksum(arrays)
     require(is_whole, f"{path}: the checksum does not match the content: changed or corrupt")
+    arrays |= absent
     del arrays["format"], arrays["format_version"]
     for entry in fields(Certificate):
         array, dtype = arrays[entry.name], np.dtype(_type_of(entry))
@@ -239,6 +254,8 @@ def check_shapes(c: Certificate) -> None:
         ((count,), ("leaf_reasons", "leaf_bounds")),
         ((), ("unit", "lower_bound", "upper_bound", "gap_tol", "n_inliers")),
         ((len(np.atleast_1d(c.candidates)), 2), ("candidates",)),
+        ((len(c.leaf_duals), *np.shape(c.leaf_duals)[1:2]), ("leaf_duals",)),
+        ((len(c.leaf_duals),), ("dual_units",)),
     )
     for shape, names in shapes:
         for name in names:
@@ -256,5 +273,8 @@ def check_shapes(c: Certificate) -> None:
     in_range = c.unit > 0 and c.gap_tol >= 0 and c.n_inliers >= 1
     require(in_range, "unit, gap_tol or n_inliers: out of range")
     require((c.candidates >= 0).all(), "candidates: a negative index")
+    require(
+        len(c.leaf_duals) in (0, count), f"leaf_duals: of {len(c.leaf_duals)} of {count} leaves"
+    )
     low, high = c.scale_range
     require(0 < low <= high, f"scale_range: {c.scale_range}, but 0 < low <= high is needed")

@@ -127,10 +127,6 @@ class Objective(abc.ABC):
 
     # --- bounds over B boxes
 
-    def own_bounds(self) -> list[BoxBound]:
-        """Return the bounds of a proof, cheap ones first; if empty, they are those below."""
-        return []
-
     @abc.abstractmethod
     def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         """Bound by the k smallest distances to the nearest target, each at its best theta of the box."""

@@ -194,9 +194,7 @@ class Proof:
         self.max_boxes = max_boxes
         self.progress = progress
         self.n_boxes = 0  # bounded in all calls of `run`
-        self._bounds = objective.own_bounds() or [
-            objective.nearest_bound, objective.interval_bound, self.tangent_bound,
-        ]  # fmt: skip
+        self._bounds = [objective.nearest_bound, objective.interval_bound, self.tangent_bound]
         if objective.is_sorted_order:  # there the tangent bound needs no assignments and suffices
             self._bounds.remove(objective.interval_bound)
 
@@ -231,7 +229,7 @@ class Proof:
                 part = slice(at, at + size)
                 outside = self.objective.outside(lower[part], upper[part])
                 self._check_inadmissible(leaves[part][~outside], c)
-                bounds[part] = self._bound(lower[part], upper[part], outside, needed)
+                bounds[part] = self._bound(leaves[part], lower[part], upper[part], outside, needed)
                 if depth % REFUTE_EVERY == 0:
                     is_suspect = (bounds[part] < needed) | (doubtful[part] & ~outside)
                     suspect = at + np.flatnonzero(is_suspect)
@@ -264,9 +262,14 @@ class Proof:
             )
 
     def _bound(
-        self, lower: np.ndarray, upper: np.ndarray, outside: np.ndarray, needed: float
+        self,
+        leaves: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        outside: np.ndarray,
+        needed: float,
     ) -> np.ndarray:
-        """Return the lower bounds of boxes up to about `needed`, by cheap bounds first."""
+        """Return the lower bounds of boxes of leaves up to about `needed`, by cheap bounds first."""
         # a sum of squares is never negative
         bounds = np.where(outside | (needed <= 0.0), np.inf, 0.0)
         for bound in self._bounds:

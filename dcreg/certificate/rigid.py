@@ -1,4 +1,4 @@
-"""The objective over rigid poses in 3D, with simple bounds on it, in NumPy and SciPy only.
+"""The objective over rigid poses in 3D, with simple bounds on it, in NumPy only.
 
 The smaller cloud moves: theta is a quaternion (w, x, y, z) of any length, then a translation t. The
 quaternions are those of the four facets w, x, y, z = 1 of the cube [-1, 1]^4. A leaf is a box on one of
@@ -6,25 +6,23 @@ the facets times a box of translations. `docs/certificate.md` proves the bounds,
 
 - spherical caps: a rotated point stays on a cap around its position at the centre of the box;
 - displacements: an optimum is stationary, so its pairs cost little more at the centre of the box than
-  the squares of their displacements to it;
+  the squares of their displacements to it; the same holds for the vertices of the box;
 - Cayley's form, in which the residuals are linear in the pose.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.certificate.assignment import cheapest_pairs, duals_of, sum_of_smallest
+from dcreg.certificate.assignment import shortest_paths, sum_of_smallest
 from dcreg.certificate.format import Certificate, require
-from dcreg.certificate.objective import BoxBound, Objective
+from dcreg.certificate.objective import Objective
 
-WIDE = 0.6  # tangent of half the angle from which the bound by displacements is vacuous
-# Squared displacements in a box, as multiples of the bound needed, up to which two bounds are tried.
-DISPLACED, LINEAR = 100.0, 16.0
 WORTH_ASSIGNMENT = 0.7  # share of the bound needed from which the pairs of caps are assigned
-MAX_CELLS = 1 << 16  # costs held at once
+MAX_CELLS = 1 << 18  # costs held at once
 BITS = (np.arange(8)[:, None] >> np.arange(3)) & 1
 # For each facet, which coordinates of the quaternions are at their upper end at the 8 vertices.
 ENDS = np.array([np.insert(BITS, axis, 0, axis=1) for axis in range(4)], dtype=bool)
@@ -35,10 +33,7 @@ class Boxes(NamedTuple):
 
     Attributes
     ----------
-    moved : (B, n, 3) array
-        Source, rotated to the centre.
-    fixed : (B, m, 3) array
-        Target, minus the translation of the centre.
+    centre : (B, 7) array
     gibbs : (B, 8, 3) array
         Gibbs vectors (axis times the tangent of half the angle) of the vertices.
     tangent : (B,) array
@@ -49,16 +44,39 @@ class Boxes(NamedTuple):
         Maximum length of a shift.
     """
 
-    moved: np.ndarray
-    fixed: np.ndarray
+    centre: np.ndarray
     gibbs: np.ndarray
     tangent: np.ndarray
     half: np.ndarray
     shift: np.ndarray
 
-    def some(self, rows: np.ndarray) -> Boxes:
+    def some(self, rows: np.ndarray | slice) -> Boxes:
         """Return some of the boxes."""
         return Boxes(*(value[rows] for value in self))
+
+
+class Loss(NamedTuple):
+    """How far the costs C of an optimum at other poses may exceed its objective E.
+
+    ``E + root sqrt(E) + rest >= C``, with one pair of numbers for each of B boxes.
+    """
+
+    root: np.ndarray
+    rest: np.ndarray
+
+    def proven(self, cost: np.ndarray) -> np.ndarray:
+        """Return the smallest E that is possible; 0 if there is none."""
+        left = np.maximum(cost - self.rest, 0.0)
+        return (0.5 * (np.sqrt(self.root * self.root + 4.0 * left) - self.root)) ** 2
+
+    @property
+    def doubled(self) -> Loss:
+        """Twice the loss."""
+        return Loss(2.0 * self.root, 2.0 * self.rest)
+
+    def needed(self, bound: float) -> np.ndarray:
+        """Return the C that proves a bound."""
+        return bound + self.root * np.sqrt(bound) + self.rest
 
 
 class RigidPoses(Objective):
@@ -66,8 +84,7 @@ class RigidPoses(Objective):
 
     scope = "over all rigid poses"
     only_optima = True
-    boxes_per_leaf = 60
-    far = 0.1
+    n_at_once = 1 << 15
 
     def prepare(self) -> None:
         n, m, k = len(self.source), len(self.target), self.k
@@ -76,14 +93,17 @@ class RigidPoses(Objective):
         self.weights = np.array([1.3 * np.sqrt(squares.mean())] * 4 + [1.0] * 3)
         self.inertia = -float(sum_of_smallest(-squares, k))  # maximum sum of |x|^2 over k points
         self.mean = _largest_mean(self.source, k)
+        # at least the difference of two eigenvalues of the second moments of k points
+        self.spread = float(np.linalg.eigvalsh(self.source.T @ self.source)[-1]) * (1.0 + 1e-12)
         self.radius = float(np.sqrt(squares.max()))
         reach = 2.0 * (self.radius + float(np.linalg.norm(self.target, axis=1).max()))
-        self.rounding = 16.0 * np.finfo(float).eps * (k + m) * reach**2
+        self.max_dual = reach**2
+        self.rounding = 64.0 * np.finfo(float).eps * (k + m) * reach**2
         # any constant is valid; this one keeps infeasible pairs out of optimal matchings
         self.penalty = np.zeros((1, 1))
         if self.feasible is not None:
             self.penalty = np.where(self.feasible, 0.0, k * reach**2)
-        self.n_at_once = max(1, MAX_CELLS // (n * m))
+        self.n_costs = max(1, MAX_CELLS // (n * m))  # cost matrices held at once
 
     # --- the objective
 
@@ -121,29 +141,36 @@ class RigidPoses(Objective):
 
     def lower_bounds(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
         """Bound by the k smallest distances to the nearest target."""
+        return self.values_from(thetas, np.zeros((len(thetas), len(self.target))))
+
+    def values_from(self, thetas: np.ndarray, duals: np.ndarray) -> np.ndarray:
+        """Bound the objective at (B, 7) poses from below by (B, m) duals."""
         out = np.empty(len(thetas))
-        for at in range(0, len(thetas), self.n_at_once):
-            part = thetas[at : at + self.n_at_once]
-            moved = self.source @ _matrices(part[:, :4]).swapaxes(1, 2) + part[:, None, 4:]
-            costs = _squared_distances(moved, self.target) + self.penalty
-            out[at : at + self.n_at_once] = sum_of_smallest(costs.min(axis=2), self.k)
+        for part in self.parts(len(thetas)):
+            rows = self.row_minima(thetas[part], duals[part])
+            out[part] = sum_of_smallest(rows, self.k) - duals[part].sum(axis=1, dtype=np.float64)
         return out - self.rounding
+
+    def row_minima(self, thetas: np.ndarray, duals: np.ndarray) -> np.ndarray:
+        """Return the (B, n) minima of a row of squared distances plus duals, at few poses."""
+        moved = self.source @ _matrices(thetas[:, :4]).swapaxes(1, 2) + thetas[:, None, 4:]
+        costs = _plus_duals(moved, self.target, duals)
+        if self.feasible is not None:
+            costs += self.penalty
+        return costs.min(axis=2)
+
+    def parts(self, count: int) -> Iterator[slice]:
+        """Yield parts of `count` poses whose costs are held at once."""
+        return (slice(at, at + self.n_costs) for at in range(0, count, self.n_costs))
 
     # --- bounds over boxes
 
-    def own_bounds(self) -> list[BoxBound]:
-        return [self.nearest_bound]
-
     def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """Bound the optima in boxes by caps, and those in small boxes by the other bounds."""
-        boxes = self.boxes(lower, upper)
-        bounds = self.cap_bound(boxes, needed)
-        left = np.flatnonzero((bounds < needed) & (boxes.tangent <= WIDE))
-        if left.size:
-            bounds[left] = np.maximum(bounds[left], self.optimum_bound(boxes.some(left), needed))
-        return bounds
+        """Bound by spherical caps."""
+        none = np.zeros((len(lower), len(self.target)))
+        return self.cap_bound(self.boxes(lower, upper), none, needed)
 
-    def cap_bound(self, boxes: Boxes, needed: float) -> np.ndarray:
+    def cap_bound(self, boxes: Boxes, duals: np.ndarray, needed: float) -> np.ndarray:
         """Bound by spherical caps: nearest points of either cloud, or pairs if these may suffice."""
         costs = self.cap_costs(boxes)
         loss = self.k * boxes.shift**2
@@ -153,53 +180,22 @@ class RigidPoses(Objective):
             beyond = np.maximum(np.sqrt(nearest) - boxes.shift[:, None], 0.0)
             plain = np.maximum(plain, sum_of_smallest(nearest, self.k))
             bounds = np.maximum(bounds, sum_of_smallest(beyond**2, self.k))
-        bounds = np.maximum(bounds, plain - loss)
+        paired = sum_of_smallest((costs + duals[:, None]).min(axis=2), self.k) - duals.sum(
+            axis=1, dtype=np.float64
+        )
+        bounds = np.maximum(bounds, np.maximum(plain, paired) - loss)
         is_worth = (bounds < needed) & (plain >= WORTH_ASSIGNMENT * (needed + loss))
         for at in np.flatnonzero(is_worth):
-            bounds[at] = max(bounds[at], self._solve(costs[at])[2] - loss[at])
+            bounds[at] = max(bounds[at], self.matched(costs[at])[0] - loss[at])
         return bounds
 
-    def optimum_bound(self, boxes: Boxes, needed: float) -> np.ndarray:
-        """Bound the stationary poses in small boxes, by displacements to the centre or Cayley's form."""
-        bounds = np.zeros(len(boxes.half))
-        # an upper bound on the sum of the squared displacements, relative to the bound needed
-        reach = 2.0 * np.arctan(boxes.tangent) * self.radius + boxes.shift
-        displaced = self.k * reach**2 / needed
-        small = np.flatnonzero(displaced < DISPLACED)
-        if not small.size:
-            return bounds
-        boxes, displaced = boxes.some(small), displaced[small]
-        costs = _squared_distances(boxes.moved, boxes.fixed) + self.penalty
-        solved = [self._solve(cost) for cost in costs]
-        columns = np.array([each[1] for each in solved])
-        totals = np.array([each[2] for each in solved])
-        squares = self.displacements(boxes)
-        matched = (columns < costs.shape[2]).astype(float)
-        # the matching at the centre limits what the first bound can prove
-        most = totals - (squares @ matched[:, None, :, None]).max(axis=(1, 2, 3))
-        is_linear = (displaced < LINEAR) & (totals >= needed * (1.0 + boxes.tangent**2))
-        left = np.flatnonzero((self.proven(boxes, most) >= needed) | is_linear)
-        if not left.size:
-            return bounds
-        m = costs.shape[2]
-        duals = np.array([duals_of(solved[at][0], columns[at])[:m] for at in left])
-        rows = (costs[left] + duals[:, None]).min(axis=2)[:, None, None]
-        cost = sum_of_smallest(rows - squares[left], self.k).min(axis=(1, 2)) - duals.sum(axis=1)
-        found = self.proven(boxes.some(left), cost)
-        again = np.flatnonzero((found < needed) & is_linear[left])
-        if again.size:
-            rest = left[again]
-            found[again] = np.maximum(
-                found[again], self.cayley_bound(boxes.some(rest), columns[rest], duals[again])
-            )
-        bounds[small[left]] = found
-        return bounds
-
-    def _solve(self, cost: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the costs with free columns, the optimal column of each row, and the minimum sum."""
+    def matched(self, cost: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the sum of the k cheapest one-to-one pairs, and optimal duals of the columns."""
         self.n_assignments += 1
-        wide, columns = cheapest_pairs(cost, self.k)
-        return wide, columns, float(wide[np.arange(len(wide)), columns].sum())
+        return shortest_paths(cost, self.k)
+
+    def match(self, cost: np.ndarray) -> float:
+        return self.matched(self._allowed(cost))[0]
 
     def boxes(self, lower: np.ndarray, upper: np.ndarray) -> Boxes:
         """Express B boxes relative to their centres."""
@@ -214,10 +210,12 @@ class RigidPoses(Objective):
         exists = (real > 0.0).all(axis=(1, 2))
         gibbs = np.where(exists[:, None, None], vector / np.where(real > 0.0, real, 1.0), 0.0)
         tangent = np.where(exists, np.sqrt((gibbs**2).sum(axis=2).max(axis=1)), np.inf)
-        return Boxes(
-            self.source @ _matrices(centre[:, :4]).swapaxes(1, 2),
-            self.target - centre[:, None, 4:], gibbs, tangent, half, np.sqrt((half**2).sum(axis=1)),
-        )  # fmt: skip
+        return Boxes(centre, gibbs, tangent, half, np.sqrt((half**2).sum(axis=1)))
+
+    def points(self, boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
+        """Return the source rotated to the centres of boxes, and the target minus their translations."""
+        moved = self.source @ _matrices(boxes.centre[:, :4]).swapaxes(1, 2)
+        return moved, self.target - boxes.centre[:, None, 4:]
 
     def cap_costs(self, boxes: Boxes) -> np.ndarray:
         """Return (B, n, m) squared distances between targets and the caps of source points.
@@ -225,11 +223,12 @@ class RigidPoses(Objective):
         A point at the angle phi from the centre of a cap of angle w has the angle max(phi - w, 0) from
         the cap. The sine of phi is rounded up, so that the distance is rounded down.
         """
+        moved, fixed = self.points(boxes)
         angle = 2.0 * np.arctan(boxes.tangent)[:, None, None]
         cos, sin = np.cos(angle), np.sin(angle)
-        a = (boxes.moved**2).sum(axis=2)[:, :, None]
-        b = (boxes.fixed**2).sum(axis=2)[:, None]
-        inner = boxes.moved @ boxes.fixed.swapaxes(1, 2)
+        a = (moved**2).sum(axis=2)[:, :, None]
+        b = (fixed**2).sum(axis=2)[:, None]
+        inner = moved @ fixed.swapaxes(1, 2)
         length = np.sqrt(a) * np.sqrt(b)
         near = (a * (1.0 + 1e-14)) * b
         cost = inner * inner
@@ -248,32 +247,46 @@ class RigidPoses(Objective):
             cost += self.penalty
         return cost
 
-    @staticmethod
-    def displacements(boxes: Boxes) -> np.ndarray:
+    def displacements(self, boxes: Boxes) -> np.ndarray:
         """Return (B, 8, S, n) squares of ``2 r x x + s`` at the vertices (r, s) of the boxes."""
-        turned = 2.0 * _cross(boxes.gibbs[:, :, None], boxes.moved[:, None])
+        turned = 2.0 * _cross(boxes.gibbs[:, :, None], self.points(boxes)[0][:, None])
         shifts = _signed(boxes.half)[:, None]
         squares = 2.0 * (shifts @ turned.swapaxes(2, 3))
         squares += (turned**2).sum(axis=3)[:, :, None]
         squares += (shifts**2).sum(axis=3)[..., None]
         return squares
 
-    def proven(self, boxes: Boxes, cost: np.ndarray) -> np.ndarray:
-        """Return the E that solves ``E + root sqrt(E) + rest = cost``; 0 if there is none."""
+    def loss(self, boxes: Boxes) -> Loss:
+        """Return the loss of the costs at the centre."""
         square = boxes.tangent**2
-        root = 4.0 * square / (1.0 + square) * np.sqrt(self.inertia)
-        rest = 4.0 * square / np.sqrt(1.0 + square) * boxes.shift * self.k * self.mean
-        left = np.maximum(cost - rest, 0.0)
-        return (0.5 * (np.sqrt(root * root + 4.0 * left) - root)) ** 2
+        return Loss(
+            4.0 * square / (1.0 + square) * np.sqrt(self.inertia),
+            4.0 * square / np.sqrt(1.0 + square) * boxes.shift * self.k * self.mean,
+        )
 
-    def cayley_bound(self, boxes: Boxes, columns: np.ndarray, duals: np.ndarray) -> np.ndarray:
-        """Bound by Cayley's form, linearised at the best pose for the matching at the centre."""
+    def joint_loss(self, boxes: Boxes) -> Loss:
+        """Return the loss of the mean of the costs at the centre and at the vertices."""
+        square = boxes.tangent**2
+        return Loss(
+            2.0 * square * np.sqrt(self.inertia),
+            2.0 * square / np.sqrt(1.0 + square) * boxes.shift * self.k * self.mean
+            + 0.77 * square * boxes.tangent * self.spread
+            + 0.5 * square * square * self.inertia,
+        )
+
+    def cayley_bound(self, boxes: Boxes, duals: np.ndarray, needed: float) -> np.ndarray:
+        """Bound by Cayley's form, linearised at the best pose for the cheapest pairs at the centre."""
+        moved, fixed = self.points(boxes)
+        costs = _squared_distances(moved, fixed) + self.penalty + duals[:, None]
+        columns, rows = costs.argmin(axis=2), costs.min(axis=2)
+        last = np.partition(rows, self.k - 1, axis=1)[:, self.k - 1, None]
+        columns[rows > last] = len(self.target)  # not matched
         reach, h = np.abs(boxes.gibbs).max(axis=1), boxes.half
         half = h + np.roll(reach, -1, axis=1) * np.roll(h, -2, axis=1)
         half += np.roll(reach, -2, axis=1) * np.roll(h, -1, axis=1)
-        turn, shift = self._fit(boxes, columns)
+        turn, shift = _fit(moved, fixed, columns, has_shifts=bool(h.any()))
         turn, shift = np.clip(turn, -reach, reach), np.clip(shift, -half, half)
-        moved, fixed = boxes.moved[:, :, None], boxes.fixed[:, None]
+        moved, fixed = moved[:, :, None], fixed[:, None]
         both = moved + fixed
         residual = moved - fixed + shift[:, None, None] + _cross(turn[:, None, None], both)
         torque = _cross(both, residual)
@@ -284,26 +297,30 @@ class RigidPoses(Objective):
             for s in np.moveaxis(_signed(half) - shift[:, None], 1, 0):
                 rows = (turned + 2.0 * (residual @ s[:, None, :, None])[..., 0]).min(axis=2)
                 minima = np.minimum(minima, sum_of_smallest(rows, self.k))
-        return np.maximum(minima - duals.sum(axis=1), 0.0) / (1.0 + boxes.tangent**2)
+        return np.maximum(minima - duals.sum(axis=1, dtype=np.float64), 0.0) / (
+            1.0 + boxes.tangent**2
+        )
 
-    @staticmethod
-    def _fit(boxes: Boxes, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the r and s that minimise the sum of ``|x - y + s + r x (x + y)|^2`` over a matching."""
-        m = boxes.fixed.shape[1]
-        matched = (columns < m)[:, :, None]
-        y = np.take_along_axis(boxes.fixed, np.minimum(columns, m - 1)[:, :, None], axis=1)
-        both, off = (boxes.moved + y) * matched, ((boxes.moved - y) * matched)
-        eye = np.eye(3)
-        turned = _cross(eye[:, None], both[:, None])  # (B, 3, k, 3): for each unit vector r
-        pushed = eye[:, None] * matched[:, None]
-        if not boxes.half.any():
-            pushed = pushed[:, :0]
-        jacobian = np.concatenate([turned, pushed], axis=1).reshape(len(y), -1, 3 * y.shape[1])
-        normal = jacobian @ jacobian.swapaxes(1, 2)
-        normal += 1e-9 * np.eye(normal.shape[1])  # any pose is valid
-        found = -np.linalg.solve(normal, jacobian @ off.reshape(len(y), -1, 1))[..., 0]
-        shift = found[:, 3:] if found.shape[1] > 3 else np.zeros((len(y), 3))
-        return found[:, :3], shift
+
+def _fit(
+    moved: np.ndarray, fixed: np.ndarray, columns: np.ndarray, *, has_shifts: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the r and s that minimise the sum of ``|x - y + s + r x (x + y)|^2`` over some pairs.
+
+    Row i is paired with its column, unless there is no such column.
+    """
+    m = fixed.shape[1]
+    matched = (columns < m)[:, :, None]
+    y = np.take_along_axis(fixed, np.minimum(columns, m - 1)[:, :, None], axis=1)
+    both, off = (moved + y) * matched, (moved - y) * matched
+    eye = np.eye(3)
+    turned = _cross(eye[:, None], both[:, None])  # (B, 3, n, 3): for each unit vector r
+    pushed = (eye[:, None] * matched[:, None])[:, : 3 * has_shifts]
+    jacobian = np.concatenate([turned, pushed], axis=1).reshape(len(y), -1, 3 * y.shape[1])
+    normal = jacobian @ jacobian.swapaxes(1, 2)
+    normal += 1e-9 * np.eye(normal.shape[1])  # any pose is valid
+    found = -np.linalg.solve(normal, jacobian @ off.reshape(len(y), -1, 1))[..., 0]
+    return found[:, :3], found[:, 3:] if has_shifts else np.zeros((len(y), 3))
 
 
 def _squared_distances(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -313,6 +330,20 @@ def _squared_distances(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     costs += (x**2).sum(axis=-1)[..., :, None]
     costs += (y**2).sum(axis=-1)[..., None, :]
     return np.maximum(costs, 0.0, out=costs)
+
+
+def _plus_duals(x: np.ndarray, y: np.ndarray, duals: np.ndarray) -> np.ndarray:
+    """Return (B, n, m) squared distances of (B, n, 3) and (m, 3) points plus (B, m) duals.
+
+    One product of matrices, with (-2 x, |x|^2, 1) and (y, 1, |y|^2 + dual).
+    """
+    left = np.ones((*x.shape[:2], 5))
+    left[..., :3] = -2.0 * x
+    left[..., 3] = (x**2).sum(axis=2)
+    right = np.ones((len(x), 5, len(y)))
+    right[:, :3] = y.T
+    right[:, 4] = (y**2).sum(axis=1) + duals
+    return left @ right
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

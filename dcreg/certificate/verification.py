@@ -15,8 +15,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from dcreg import text
 from dcreg.certificate.exact import ExactProof, interval
@@ -34,6 +32,8 @@ from dcreg.certificate.format import (
 from dcreg.certificate.objective import Objective
 from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Progress, Proof, check_partition
+from dcreg.certificate.rigid import RigidPoses
+from dcreg.certificate.rigid_proof import RigidProof
 
 EXACT_MODEL = "similarity2d"  # the bounds of others need roots
 MAX_DENSE = 4_000_000  # pairs of points up to which cost matrices are formed
@@ -215,13 +215,22 @@ def _check(
             lower_bound = _prove(report, proof, c)
             *ends, report.lower_bound, report.upper_bound = interval(c, lower_bound, attained)
         else:
-            lower_bound = _prove(report, Proof(objective, slack, most, progress), c)
+            lower_bound = _prove(report, _proof(objective, slack, most, progress, c), c)
             report.lower_bound = lower_bound * area
             ends = [f"{end:.9g}" for end in (report.lower_bound, report.upper_bound)]
     finally:
         report.n_assignments = objective.n_assignments
     _state(report, c, objective.scope, ends, "exactly " * exact)
     report.is_trivial = lower_bound <= 0.0 and c.upper_bound > exact_fit
+
+
+def _proof(
+    objective: Objective, slack: float, most: int, progress: Progress | None, c: Certificate
+) -> Proof:
+    """Return the proof for an objective."""
+    if isinstance(objective, RigidPoses):
+        return RigidProof(objective, slack, most, progress, c)
+    return Proof(objective, slack, most, progress)
 
 
 def _state(report: Report, c: Certificate, scope: str, ends: list[str], how: str) -> None:
@@ -297,6 +306,9 @@ def objective_of(c: Certificate, source: np.ndarray, target: np.ndarray) -> Obje
         pairs = None if pairs is None else pairs.T
     objective = OBJECTIVES[c.model](moving, fixed, c.n_inliers, tuple(c.scale_range), pairs)
     objective.area = c.unit**2
+    # free pairs; an infeasible one still costs more
+    if pairs is not None and objective.match(np.zeros(pairs.shape)) > 0.0:
+        raise CertificateError(f"candidates: fewer than {c.n_inliers} can be matched one-to-one")
     if not is_dense and (len(c.candidates) or not objective.is_sorted_order):
         raise CertificateError(f"cannot be checked: {n} x {m} pairs exceed {MAX_DENSE:,}")
     return objective
@@ -309,8 +321,6 @@ def feasible_pairs(c: Certificate, n: int, m: int) -> np.ndarray | None:
     require((c.candidates < (n, m)).all(), "candidates: an index exceeds the clouds")
     mask = np.zeros((n, m), dtype=bool)
     mask[tuple(c.candidates.T)] = True
-    if (maximum_bipartite_matching(csr_array(mask)) >= 0).sum() < c.n_inliers:
-        raise CertificateError(f"candidates: fewer than {c.n_inliers} can be matched one-to-one")
     return mask
 
 

@@ -192,7 +192,7 @@ def _parts(bound: Bound) -> list[Any]:
 
 
 def _search_state(search: Search) -> dict[str, Any]:
-    leaves = search.leaves.arrays() if search.leaves else None
+    leaves = search.leaves.boxes if search.leaves else None
     return {
         **{name: getattr(search, name) for name in (*_SEARCH, "tolerance", "start")},
         "boxes": search.boxes, "nodes": search.nodes.boxes(), "leaves": leaves,
@@ -210,8 +210,7 @@ def _restore(search: Search, state: dict[str, Any], course: Course) -> None:
     search.events = _events(state["events"])
     search.region = course.confined[-1] if state["is_narrowed"] else None
     if search.leaves is not None and state["leaves"]:
-        lower, upper, bounds, _ = state["leaves"].values()
-        search.leaves.add(Boxes(lower, upper, bounds))
+        search.leaves.add(Boxes(**state["leaves"]))
     search.n_nodes_before, search.patience_began = search.n_nodes, search.budget.elapsed()
 
 

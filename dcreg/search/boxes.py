@@ -73,15 +73,15 @@ class Boxes:
         return cls(np.array([box.lower for box in boxes]), np.array([box.upper for box in boxes]))
 
     @classmethod
-    def joined(cls, first: Boxes, second: Boxes) -> Boxes:
-        """Return both; they have warm starts only if both do."""
-        warm_start = None
-        if first.warm_start is not None and second.warm_start is not None:
-            warm_start = np.concatenate([first.warm_start, second.warm_start])
+    def joined(cls, *parts: Boxes) -> Boxes:
+        """Return all; they have warm starts only if all parts do."""
+        warm_starts = [part.warm_start for part in parts if part.warm_start is not None]
         return cls(
-            np.concatenate([first.lower, second.lower]), np.concatenate([first.upper, second.upper]),
-            np.concatenate([first.bounds, second.bounds]), warm_start,
-        )  # fmt: skip
+            np.concatenate([part.lower for part in parts]),
+            np.concatenate([part.upper for part in parts]),
+            np.concatenate([part.bounds for part in parts]),
+            np.concatenate(warm_starts) if len(warm_starts) == len(parts) else None,
+        )
 
     def __len__(self) -> int:
         return len(self.lower)
@@ -222,7 +222,7 @@ class Confined:
     @cached_property
     def _hierarchy(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the hierarchy of the boxes that `kernels.meeting` needs."""
-        order = _morton_order(self.boxes.lower)
+        order = morton_order(self.boxes.lower)
         levels = [(self.boxes.lower[order], self.boxes.upper[order])]
         while len(levels[-1][0]) > kernels.FAN:
             lower, upper = levels[-1]
@@ -233,7 +233,7 @@ class Confined:
         return lower, upper, starts
 
 
-def _morton_order(points: np.ndarray) -> np.ndarray:
+def morton_order(points: np.ndarray) -> np.ndarray:
     """Return the order of (n, d) points along a curve that keeps near points together."""
     dim = points.shape[1]
     n_bits = min(62 // dim, 20)
@@ -329,16 +329,22 @@ class Leaves:
     """
 
     def __init__(self) -> None:
-        self._parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
+        self._parts: list[Boxes] = []
+        self._is_open: list[np.ndarray] = []
 
     def add(self, boxes: Boxes, is_open: bool = False) -> None:
-        state = np.full(len(boxes), is_open)
-        self._parts.append((boxes.lower, boxes.upper, boxes.bounds, state))
+        self._parts.append(boxes)
+        self._is_open.append(np.full(len(boxes), is_open))
 
     def __len__(self) -> int:
-        return sum(len(bounds) for _, _, bounds, _ in self._parts)
+        return sum(map(len, self._parts))
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return ``lower`` (L, d), ``upper`` (L, d), ``bounds`` (L,) and ``is_open`` (L,)."""
-        names = ("lower", "upper", "bounds", "is_open")
-        return dict(zip(names, map(np.concatenate, zip(*self._parts, strict=True)), strict=True))
+    @property
+    def boxes(self) -> Boxes:
+        """All leaves, with their warm starts if all have them."""
+        return Boxes.joined(*self._parts)
+
+    @property
+    def is_open(self) -> np.ndarray:
+        """Whether a limit ended the search before a leaf was pruned: (L,)."""
+        return np.concatenate(self._is_open)

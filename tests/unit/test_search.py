@@ -144,14 +144,14 @@ def test_listener_stops_the_search_and_sees_its_end():
 @pytest.mark.parametrize("limits", [{}, {"nodes": 50}])
 def test_leaves_cover_the_root_exactly(limits):
     found = solve(keep_leaves=True, **limits)
-    parts = found.leaves.arrays()
-    assert (parts["upper"] - parts["lower"]).prod(axis=1).sum() == pytest.approx(4.0, abs=1e-12)
-    assert found.lower_bound == min(parts["bounds"].min(), found.upper_bound)
-    assert parts["is_open"].any() == bool(limits)
+    leaves = found.leaves.boxes
+    assert (leaves.upper - leaves.lower).prod(axis=1).sum() == pytest.approx(4.0, abs=1e-12)
+    assert found.lower_bound == min(leaves.bounds.min(), found.upper_bound)
+    assert found.leaves.is_open.any() == bool(limits)
     if not limits:
-        assert (parts["bounds"] >= found.upper_bound - 1e-2).all()
+        assert (leaves.bounds >= found.upper_bound - 1e-2).all()
     points = np.random.default_rng(0).uniform(-1, 1, (200, 2))
-    inside = (points[:, None] >= parts["lower"]) & (points[:, None] <= parts["upper"])
+    inside = (points[:, None] >= leaves.lower) & (points[:, None] <= leaves.upper)
     assert (inside.all(axis=2).sum(axis=1) == 1).all()
 
 

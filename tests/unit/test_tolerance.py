@@ -116,9 +116,8 @@ def test_a_search_stops_at_the_share_and_its_leaves_prove_it(rel):
     assert len(set(values)) > 1
     assert found.lower_bound >= (1.0 - rel) * found.upper_bound
     assert found.lower_bound <= 1.0 + 0.3 < 2.0
-    leaves = found.leaves.arrays()
-    assert found.lower_bound == min(leaves["bounds"].min(), found.upper_bound)
-    assert not leaves["is_open"].any()
+    assert found.lower_bound == min(found.leaves.boxes.bounds.min(), found.upper_bound)
+    assert not found.leaves.is_open.any()
 
 
 def test_a_sample_gets_its_share_of_the_absolute_gap(rng):

@@ -18,6 +18,8 @@ import numpy as np
 from dcreg.assignment.kernels.selection import cleared, kth_smallest, least
 from dcreg.jit import NEVER, jit, jit_inner, jit_part, jit_reduction
 
+DUAL_UNIT = 2.0**-14  # of dual variables stored in 16 bits, in squared radii of the target
+
 
 def cheapest_pairs(cost, k, stop=NEVER):
     """Return value, column of every row (-1: unmatched) and optimal duals of the cheapest k pairs.

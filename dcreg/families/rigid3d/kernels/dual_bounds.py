@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcreg.assignment.kernels.dense import DUAL_UNIT
 from dcreg.assignment.kernels.selection import smallest_sum, total
 from dcreg.families.kernels import add_penalty, weigh
 from dcreg.families.rigid3d.kernels.rough import (
@@ -37,7 +38,6 @@ _RAISE = 0.02
 # Rows that cost more than this multiple of the k-th row are not matched anywhere in a box.
 _CEILING = np.float32(1.5)
 _ONE = np.float32(1.0)
-_UNIT = 2.0**-14  # of the stored duals, in squared radii of the target
 _LARGEST = 65_535.0
 _ROUNDING = 2.0**-23  # of single precision, relative
 
@@ -77,7 +77,7 @@ def allocate_workspace(n: int, m: int) -> Workspace:
 def keep_duals(b, kept):
     """Store duals in 16 bits each."""
     for j in range(b.size):
-        kept[j] = np.uint16(min(_LARGEST, b[j] / _UNIT + 0.5))
+        kept[j] = np.uint16(min(_LARGEST, b[j] / DUAL_UNIT + 0.5))
 
 
 @jit_part
@@ -157,7 +157,7 @@ def _begin(view, kept, work):
     for j in range(kept.size):
         for c in range(3):
             work.columns[c, j] = view.target[c, j]
-        work.columns[4, j] = np.float32(kept[j] * (_KEPT * _UNIT))
+        work.columns[4, j] = np.float32(kept[j] * (_KEPT * DUAL_UNIT))
     rough_costs(view.source, work.columns, work.costs)
     add_penalty(view.infeasibility_penalty, work.costs)
     weigh(view.weights, work.costs)

@@ -1,0 +1,216 @@
+"""The proof of a certificate of rigid poses: by the duals of its leaves, and by values at vertices.
+
+The duals come from the file. Any duals are valid; with poor ones the proof takes more boxes. Boxes that
+have a vertex in common share the value at this vertex.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+
+import numpy as np
+
+from dcreg.certificate.format import Certificate, require
+from dcreg.certificate.proof import Progress, Proof
+from dcreg.certificate.rigid import BITS, ENDS, RigidPoses
+
+WIDE = 0.6  # tangent of half the angle from which displacements prove nothing
+# Squared displacements in a box, as multiples of the bound needed: caps are tried above the first,
+# Cayley's form below the second.
+CAPPED, LINEAR = 100.0, 16.0
+PATIENCE = 8  # boxes of a leaf that its duals may fail to prove until they are replaced
+
+
+class RigidProof(Proof):
+    """A proof of the lower bound of a certificate of rigid poses.
+
+    Parameters
+    ----------
+    objective : RigidPoses
+    slack : float
+    max_boxes : int
+    progress : callable, optional
+    certificate : Certificate
+        Its duals are used.
+    """
+
+    objective: RigidPoses
+
+    def __init__(
+        self,
+        objective: RigidPoses,
+        slack: float,
+        max_boxes: int,
+        progress: Progress | None,
+        certificate: Certificate,
+    ) -> None:
+        super().__init__(objective, slack, max_boxes, progress)
+        m = len(objective.target)
+        stored, units = certificate.leaf_duals, certificate.dual_units
+        if not len(stored):
+            stored, units = (
+                np.zeros((len(certificate.leaf_bounds), m), np.uint8),
+                np.zeros(1, np.int8),
+            )
+        require(stored.shape[1] == m, f"leaf_duals: of {stored.shape[1]} points, but there are {m}")
+        self._duals = np.ldexp(stored.astype(np.float32), units[:, None])
+        # larger duals prove nothing, and their rounding errors would exceed the tolerance
+        require(self._duals.max() <= objective.max_dual, "leaf_duals: too large")
+        self._failures = np.zeros(len(stored), np.int64)
+
+    def _bound(
+        self,
+        leaves: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        outside: np.ndarray,
+        needed: float,
+    ) -> np.ndarray:
+        if needed <= 0.0:  # a sum of squares is never negative
+            return np.full(len(leaves), np.inf)
+        objective, bounds = self.objective, np.zeros(len(leaves))
+        boxes, duals = objective.boxes(lower, upper), self._duals[leaves]
+        near = np.flatnonzero(boxes.tangent <= WIDE)
+        if near.size:
+            vertices = Vertices(objective, lower[near], upper[near], duals[near])
+            bounds[near] = vertices.bound(needed)
+        # an upper bound on the sum of the squared displacements, relative to the bound needed
+        reach = 2.0 * np.arctan(boxes.tangent) * objective.radius + boxes.shift
+        displaced = objective.k * reach**2 / needed
+        for bound, is_tried in (
+            (objective.cap_bound, displaced > CAPPED),
+            (objective.cayley_bound, displaced < LINEAR),
+        ):
+            left = np.flatnonzero((bounds < needed) & is_tried)
+            for part in objective.parts(left.size):
+                some = left[part]
+                found = bound(boxes.some(some), duals[some], needed)
+                bounds[some] = np.maximum(bounds[some], found)
+        failed = bounds < needed
+        self._replace_duals(leaves[failed], boxes.centre[failed])
+        return bounds
+
+    def _replace_duals(self, leaves: np.ndarray, centres: np.ndarray) -> None:
+        """Replace the duals of a leaf that fail often by optimal ones at the centre of a box."""
+        np.add.at(self._failures, leaves, 1)
+        for at in np.flatnonzero(self._failures[leaves] >= PATIENCE):
+            leaf = leaves[at]
+            if self._failures[leaf] >= PATIENCE:
+                costs = self.objective.costs(centres[at]) + self.objective.penalty
+                self._duals[leaf] = self.objective.matched(costs)[1]
+                self._failures[leaf] = 0
+
+
+class Vertices:
+    """The V vertices of each of B boxes, with the duals (B, m) of the boxes.
+
+    The vertices of a box are the products of its 8 rotations and its S shifts, in this order.
+    """
+
+    def __init__(
+        self, objective: RigidPoses, lower: np.ndarray, upper: np.ndarray, duals: np.ndarray
+    ) -> None:
+        self._objective, self._duals = objective, duals
+        self._boxes = objective.boxes(lower, upper)
+        ends = ENDS[np.argmin((upper - lower)[:, :4], axis=1)]
+        self._rotations = np.where(ends, upper[:, None, :4], lower[:, None, :4])
+        self._shifts = self._boxes.centre[:, None, 4:]
+        if self._boxes.half.any():
+            self._shifts = np.where(BITS == 1, upper[:, None, 4:], lower[:, None, 4:])
+        one, other = _numbers(self._rotations), _numbers(self._shifts)
+        # (B, V): equal vertices have equal numbers
+        self._numbers = (one[:, :, None] * (other.max() + 1) + other[:, None]).reshape(
+            len(lower), -1
+        )
+
+    def bound(self, needed: float) -> np.ndarray:
+        """Return bounds on the optima in the boxes, up to `needed`, by their centres and vertices."""
+        costs = self._costs()
+        bounds = self._objective.loss(self._boxes).proven(costs.min(axis=1))
+        joint = self._objective.joint_loss(self._boxes)
+        goals = 2.0 * joint.needed(needed)[:, None] - costs
+        proves = (costs >= joint.doubled.needed(needed)[:, None]) | (bounds >= needed)[:, None]
+        hardest = costs == costs.min(axis=1, keepdims=True)
+        tried = hardest & ~proves
+        proves[tried] = self._values(tried) >= goals[tried]
+        is_left: np.ndarray = (proves | ~hardest).all(axis=1)
+        tried = ~proves & is_left[:, None]
+        proves[tried] = self._values(tried) >= goals[tried]
+        bounds[proves.all(axis=1)] = np.inf
+        return bounds
+
+    def _costs(self) -> np.ndarray:
+        """Return lower bounds (B, V) on the costs of all pairs at the centre, less the displacements."""
+        objective, k, duals = self._objective, self._objective.k, self._duals
+        out = np.empty(self._numbers.shape)
+
+        def fill(part: slice) -> None:
+            boxes = self._boxes.some(part)
+            rows = objective.row_minima(boxes.centre, duals[part])[:, None, None]
+            rows = rows - objective.displacements(boxes)
+            if k == rows.shape[-1]:
+                found = rows.sum(axis=-1)
+            else:
+                # the k smallest numbers sum to at least k level - sum max(0, level - number)
+                level = np.partition(rows.mean(axis=2), k - 1, axis=-1)[..., k - 1, None]
+                depths = np.maximum(level[..., None] - rows, 0.0, out=rows)
+                found = k * level - depths.sum(axis=-1)
+            total = duals[part].sum(axis=1, dtype=np.float64)
+            out[part] = found.reshape(len(rows), -1) - total[:, None]
+
+        _in_threads(fill, list(objective.parts(len(out))))
+        return out
+
+    def _values(self, chosen: np.ndarray) -> np.ndarray:
+        """Return lower bounds on the objective at chosen vertices, each computed once.
+
+        The duals are the means of those of all boxes with the vertex.
+        """
+        boxes, vertices = np.nonzero(chosen)
+        numbers, first, inverse = np.unique(
+            self._numbers[chosen], return_index=True, return_inverse=True
+        )
+        boxes, vertices = boxes[first], vertices[first]
+        n_shifts = self._shifts.shape[1]
+        poses = np.hstack(
+            [self._rotations[boxes, vertices // n_shifts], self._shifts[boxes, vertices % n_shifts]]
+        )
+        order, ordered = self._order
+        begin, end = np.searchsorted(ordered, numbers), np.searchsorted(ordered, numbers, "right")
+        values = np.empty(len(poses))
+
+        def fill(part: slice) -> None:
+            counts = (end - begin)[part]
+            starts = np.cumsum(counts) - counts
+            places = np.repeat(begin[part] - starts, counts) + np.arange(counts.sum())
+            owners = order[places] // self._numbers.shape[1]
+            duals = np.add.reduceat(self._duals[owners], starts, axis=0) / counts[:, None]
+            values[part] = self._objective.values_from(poses[part], duals)
+
+        _in_threads(fill, list(self._objective.parts(len(poses))))
+        return values[inverse.ravel()]
+
+    @cached_property
+    def _order(self) -> tuple[np.ndarray, np.ndarray]:
+        """The places of all vertices in ascending order of their numbers, and the sorted numbers."""
+        order = np.argsort(self._numbers, axis=None, kind="stable")
+        return order, self._numbers.ravel()[order]
+
+
+def _numbers(points: np.ndarray) -> np.ndarray:
+    """Return numbers of (B, V, d) points: equal for equal points, and smaller than B V."""
+    numbers = np.zeros(points.shape[:2], np.int64)
+    for column in np.moveaxis(points, 2, 0):
+        ranks = np.unique(column, return_inverse=True)[1].reshape(numbers.shape)
+        numbers = numbers * (ranks.max() + 1) + ranks
+        numbers = np.unique(numbers, return_inverse=True)[1].reshape(numbers.shape)
+    return numbers
+
+
+def _in_threads(work: Callable[[slice], None], parts: list[slice]) -> None:
+    """Do the work of independent parts; NumPy releases the interpreter's lock."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(work, parts))
