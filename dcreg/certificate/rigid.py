@@ -17,11 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dcreg.certificate.assignment import shortest_paths, sum_of_smallest
+from dcreg.certificate.assignment import improve_duals, shortest_paths, sum_of_smallest
 from dcreg.certificate.format import Certificate, require
 from dcreg.certificate.objective import Objective
 
 WORTH_ASSIGNMENT = 0.7  # share of the bound needed from which the pairs of caps are assigned
+FEW_PAIRS = 1000  # the search bounds boxes of so few by caps only
 MAX_CELLS = 1 << 18  # costs held at once
 BITS = (np.arange(8)[:, None] >> np.arange(3)) & 1
 # For each facet, which coordinates of the quaternions are at their upper end at the 8 vertices.
@@ -84,6 +85,7 @@ class RigidPoses(Objective):
 
     scope = "over all rigid poses"
     only_optima = True
+    boxes_per_leaf = 60
     n_at_once = 1 << 15
 
     def prepare(self) -> None:
@@ -103,6 +105,7 @@ class RigidPoses(Objective):
         self.penalty = np.zeros((1, 1))
         if self.feasible is not None:
             self.penalty = np.where(self.feasible, 0.0, k * reach**2)
+        self.has_few_pairs = n * m <= FEW_PAIRS
         self.n_costs = max(1, MAX_CELLS // (n * m))  # cost matrices held at once
 
     # --- the objective
@@ -140,24 +143,36 @@ class RigidPoses(Objective):
         return np.linalg.norm(thetas[:, :4], axis=1) > 0.1
 
     def lower_bounds(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
-        """Bound by the k smallest distances to the nearest target."""
-        return self.values_from(thetas, np.zeros((len(thetas), len(self.target))))
+        """Bound by the k smallest distances to the nearest target or, if necessary, by an auction."""
+        none = np.zeros((len(thetas), len(self.target)))
+        out = self.values_from(thetas, none)
+        for at in np.flatnonzero(out < needed):
+            out[at], _ = self.improved(thetas[at], none[at])
+        return out
 
     def values_from(self, thetas: np.ndarray, duals: np.ndarray) -> np.ndarray:
         """Bound the objective at (B, 7) poses from below by (B, m) duals."""
         out = np.empty(len(thetas))
         for part in self.parts(len(thetas)):
-            rows = self.row_minima(thetas[part], duals[part])
+            rows = self.costs_with(thetas[part], duals[part]).min(axis=2)
             out[part] = sum_of_smallest(rows, self.k) - duals[part].sum(axis=1, dtype=np.float64)
         return out - self.rounding
 
-    def row_minima(self, thetas: np.ndarray, duals: np.ndarray) -> np.ndarray:
-        """Return the (B, n) minima of a row of squared distances plus duals, at few poses."""
+    def costs_with(self, thetas: np.ndarray, duals: np.ndarray) -> np.ndarray:
+        """Return (B, n, m) squared distances plus duals (B, m), at few poses (B, 7)."""
         moved = self.source @ _matrices(thetas[:, :4]).swapaxes(1, 2) + thetas[:, None, 4:]
         costs = _plus_duals(moved, self.target, duals)
         if self.feasible is not None:
             costs += self.penalty
-        return costs.min(axis=2)
+        return costs
+
+    def improved(
+        self, theta: np.ndarray, duals: np.ndarray, *, exactly: bool = False
+    ) -> tuple[float, np.ndarray]:
+        """Return a lower bound on the objective at a pose, and the duals that prove it."""
+        costs = self.costs_with(theta[None], np.zeros((1, len(duals))))[0]
+        value, duals = self.matched(costs) if exactly else improve_duals(costs, duals, self.k)
+        return value - self.rounding, duals
 
     def parts(self, count: int) -> Iterator[slice]:
         """Yield parts of `count` poses whose costs are held at once."""
@@ -186,7 +201,8 @@ class RigidPoses(Objective):
         bounds = np.maximum(bounds, np.maximum(plain, paired) - loss)
         is_worth = (bounds < needed) & (plain >= WORTH_ASSIGNMENT * (needed + loss))
         for at in np.flatnonzero(is_worth):
-            bounds[at] = max(bounds[at], self.matched(costs[at])[0] - loss[at])
+            found, _ = improve_duals(costs[at], duals[at], self.k)
+            bounds[at] = max(bounds[at], found - loss[at])
         return bounds
 
     def matched(self, cost: np.ndarray) -> tuple[float, np.ndarray]:

@@ -21,7 +21,8 @@ WIDE = 0.6  # tangent of half the angle from which displacements prove nothing
 # Squared displacements in a box, as multiples of the bound needed: caps are tried above the first,
 # Cayley's form below the second.
 CAPPED, LINEAR = 100.0, 16.0
-PATIENCE = 8  # boxes of a leaf that its duals may fail to prove until they are replaced
+# Boxes of a leaf that may fail until an auction improves its duals there, or until they are optimal.
+PATIENCE, EXACT = 2, 4
 
 
 class RigidProof(Proof):
@@ -48,18 +49,17 @@ class RigidProof(Proof):
         certificate: Certificate,
     ) -> None:
         super().__init__(objective, slack, max_boxes, progress)
-        m = len(objective.target)
+        m, n_leaves = len(objective.target), len(certificate.leaf_bounds)
+        self._duals = np.zeros((n_leaves, m), np.float32)
         stored, units = certificate.leaf_duals, certificate.dual_units
-        if not len(stored):
-            stored, units = (
-                np.zeros((len(certificate.leaf_bounds), m), np.uint8),
-                np.zeros(1, np.int8),
-            )
-        require(stored.shape[1] == m, f"leaf_duals: of {stored.shape[1]} points, but there are {m}")
-        self._duals = np.ldexp(stored.astype(np.float32), units[:, None])
-        # larger duals prove nothing, and their rounding errors would exceed the tolerance
-        require(self._duals.max() <= objective.max_dual, "leaf_duals: too large")
-        self._failures = np.zeros(len(stored), np.int64)
+        if len(stored):
+            n_duals = stored.shape[1]
+            require(n_duals == m, f"leaf_duals: of {n_duals} points, but the cloud has {m}")
+            # larger ones prove nothing, and their rounding errors would exceed the tolerance
+            is_small = np.ldexp(float(stored.max()), int(units.max())) <= objective.max_dual
+            require(is_small, "leaf_duals: larger than any squared distance")
+            self._duals[:] = np.ldexp(stored.astype(np.float32), units[:, None])
+        self._failures = np.zeros(n_leaves, np.int64)
 
     def _bound(
         self,
@@ -71,8 +71,27 @@ class RigidProof(Proof):
     ) -> np.ndarray:
         if needed <= 0.0:  # a sum of squares is never negative
             return np.full(len(leaves), np.inf)
-        objective, bounds = self.objective, np.zeros(len(leaves))
-        boxes, duals = objective.boxes(lower, upper), self._duals[leaves]
+        objective = self.objective
+        bounds = self._bound_by(self._duals[leaves], lower, upper, needed)
+        failed = np.flatnonzero(bounds < needed)
+        np.add.at(self._failures, leaves[failed], 1)
+        for at in failed[self._failures[leaves[failed]] >= PATIENCE]:
+            box, leaf = slice(at, at + 1), leaves[at]
+            value, self._duals[leaf] = objective.improved(
+                0.5 * (lower[at] + upper[at]), self._duals[leaf],
+                exactly=bool(self._failures[leaf] >= EXACT),
+            )  # fmt: skip
+            if value >= needed:
+                duals = self._duals[leaves[box]]
+                bounds[box] = self._bound_by(duals, lower[box], upper[box], needed)
+        return bounds
+
+    def _bound_by(
+        self, duals: np.ndarray, lower: np.ndarray, upper: np.ndarray, needed: float
+    ) -> np.ndarray:
+        """Bound boxes by their duals (B, m)."""
+        objective, bounds = self.objective, np.zeros(len(lower))
+        boxes = objective.boxes(lower, upper)
         near = np.flatnonzero(boxes.tangent <= WIDE)
         if near.size:
             vertices = Vertices(objective, lower[near], upper[near], duals[near])
@@ -81,7 +100,7 @@ class RigidProof(Proof):
         reach = 2.0 * np.arctan(boxes.tangent) * objective.radius + boxes.shift
         displaced = objective.k * reach**2 / needed
         for bound, is_tried in (
-            (objective.cap_bound, displaced > CAPPED),
+            (objective.cap_bound, (displaced > CAPPED) | objective.has_few_pairs),
             (objective.cayley_bound, displaced < LINEAR),
         ):
             left = np.flatnonzero((bounds < needed) & is_tried)
@@ -89,19 +108,7 @@ class RigidProof(Proof):
                 some = left[part]
                 found = bound(boxes.some(some), duals[some], needed)
                 bounds[some] = np.maximum(bounds[some], found)
-        failed = bounds < needed
-        self._replace_duals(leaves[failed], boxes.centre[failed])
         return bounds
-
-    def _replace_duals(self, leaves: np.ndarray, centres: np.ndarray) -> None:
-        """Replace the duals of a leaf that fail often by optimal ones at the centre of a box."""
-        np.add.at(self._failures, leaves, 1)
-        for at in np.flatnonzero(self._failures[leaves] >= PATIENCE):
-            leaf = leaves[at]
-            if self._failures[leaf] >= PATIENCE:
-                costs = self.objective.costs(centres[at]) + self.objective.penalty
-                self._duals[leaf] = self.objective.matched(costs)[1]
-                self._failures[leaf] = 0
 
 
 class Vertices:
@@ -135,10 +142,10 @@ class Vertices:
         proves = (costs >= joint.doubled.needed(needed)[:, None]) | (bounds >= needed)[:, None]
         hardest = costs == costs.min(axis=1, keepdims=True)
         tried = hardest & ~proves
-        proves[tried] = self._values(tried) >= goals[tried]
+        proves[tried] = self._values(tried, goals) >= goals[tried]
         is_left: np.ndarray = (proves | ~hardest).all(axis=1)
         tried = ~proves & is_left[:, None]
-        proves[tried] = self._values(tried) >= goals[tried]
+        proves[tried] = self._values(tried, goals) >= goals[tried]
         bounds[proves.all(axis=1)] = np.inf
         return bounds
 
@@ -149,7 +156,7 @@ class Vertices:
 
         def fill(part: slice) -> None:
             boxes = self._boxes.some(part)
-            rows = objective.row_minima(boxes.centre, duals[part])[:, None, None]
+            rows = objective.costs_with(boxes.centre, duals[part]).min(axis=2)[:, None, None]
             rows = rows - objective.displacements(boxes)
             if k == rows.shape[-1]:
                 found = rows.sum(axis=-1)
@@ -164,7 +171,7 @@ class Vertices:
         _in_threads(fill, list(objective.parts(len(out))))
         return out
 
-    def _values(self, chosen: np.ndarray) -> np.ndarray:
+    def _values(self, chosen: np.ndarray, goals: np.ndarray) -> np.ndarray:
         """Return lower bounds on the objective at chosen vertices, each computed once.
 
         The duals are the means of those of all boxes with the vertex.
@@ -180,7 +187,8 @@ class Vertices:
         )
         order, ordered = self._order
         begin, end = np.searchsorted(ordered, numbers), np.searchsorted(ordered, numbers, "right")
-        values = np.empty(len(poses))
+        values, goal = np.empty(len(poses)), np.full(len(poses), -np.inf)
+        np.maximum.at(goal, inverse.ravel(), goals[chosen])
 
         def fill(part: slice) -> None:
             counts = (end - begin)[part]
@@ -189,6 +197,9 @@ class Vertices:
             owners = order[places] // self._numbers.shape[1]
             duals = np.add.reduceat(self._duals[owners], starts, axis=0) / counts[:, None]
             values[part] = self._objective.values_from(poses[part], duals)
+            for at in np.flatnonzero(values[part] < goal[part]):
+                pose = part.start + at
+                values[pose], _ = self._objective.improved(poses[pose], duals[at])
 
         _in_threads(fill, list(self._objective.parts(len(poses))))
         return values[inverse.ravel()]
@@ -212,5 +223,8 @@ def _numbers(points: np.ndarray) -> np.ndarray:
 
 def _in_threads(work: Callable[[slice], None], parts: list[slice]) -> None:
     """Do the work of independent parts; NumPy releases the interpreter's lock."""
+    if len(parts) == 1:
+        return work(parts[0])
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(work, parts))
+    return None

@@ -1,6 +1,8 @@
 """Certificates of rigid poses in 3D: true ones are accepted, edited ones refused."""
 
 import dataclasses
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -92,6 +94,111 @@ def test_the_command_writes_and_verifies_a_certificate(tmp_path):
         proven = run("verify", tmp_path / "c.npz", *points)
         assert proven.exit_code == 0, proven.output
         assert ("over all rigid poses" in proven.output) == (mode != "paper")
+
+
+@pytest.fixture(scope="module")
+def with_duals():
+    """More than 1,000 pairs of points: a search bounds fewer by caps, without duals."""
+    rng = np.random.default_rng(4)
+    source = rng.standard_normal((36, 3)) * [1.0, 0.7, 0.4]
+    target = np.vstack([source[4:], rng.standard_normal((2, 3))]) + 0.02 * rng.standard_normal(
+        (34, 3)
+    )
+    result = register(
+        source, target, n_inliers=32, model="rigid3d", certificate=True, prove=True, rel_gap=0.3
+    )
+    assert result.status is Status.OPTIMAL
+    assert result.certificate.leaf_duals.max() == 15
+    return result.certificate, source, target
+
+
+@pytest.mark.parametrize("change", ["none", "random", "largest"])
+def test_poor_duals_take_boxes_but_not_the_proof(with_duals, change):
+    """The duals of a file are hints, which a forger can choose."""
+    certificate, source, target = with_duals
+    shape = certificate.leaf_duals.shape
+    assert shape == (len(certificate.leaf_bounds), len(source))
+    rng, units = np.random.default_rng(0), certificate.dual_units
+    duals = {
+        "none": np.empty((0, 0)), "random": rng.integers(16, size=shape), "largest": np.full(shape, 15),
+    }[change]  # fmt: skip
+    poor = dataclasses.replace(certificate, leaf_duals=duals, dual_units=units[: len(duals)])
+    best, report = (verify(each, source, target) for each in (certificate, poor))
+    assert report.accepted, report.reason
+    assert report.lower_bound == best.lower_bound
+    assert report.n_boxes > best.n_boxes
+    false = dataclasses.replace(
+        poor, theta=_worse(poor, source, target), status="stopped",
+        **{name: 1.5 * getattr(poor, name) for name in BOUNDS},
+    )  # fmt: skip
+    refused = verify(false, source, target, n_samples=0, max_boxes=2 * len(false.leaf_bounds))
+    assert "could not be confirmed" in refused.reason or "is false" in refused.reason
+
+
+BOUNDS = "lower_bound", "upper_bound", "gap_tol", "leaf_bounds"
+
+
+def _worse(certificate, source, target):
+    """A pose whose objective is 1.5 times the best one."""
+    objective, step = objective_of(certificate, source, target), np.zeros(7)
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        step[4] = 0.5 * (low + high)
+        value = objective.value(certificate.theta + step)
+        low, high = (step[4], high) if value < 1.5 * certificate.upper_bound else (low, step[4])
+    return certificate.theta + step
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda c: {"leaf_duals": c.leaf_duals[:, 1:]}, "leaf_duals: of 35 points"),
+        (lambda c: {"leaf_duals": c.leaf_duals[1:]}, "dual_units: shape"),
+        (
+            lambda c: {"leaf_duals": c.leaf_duals[1:], "dual_units": c.dual_units[1:]},
+            "leaf_duals: of",
+        ),
+        (lambda c: {"dual_units": np.full_like(c.dual_units, 60)}, "larger than any"),
+        (lambda c: {"dual_units": np.full_like(c.dual_units, 127)}, "larger than any"),
+    ],
+)
+def test_duals_that_do_not_fit_are_refused(with_duals, change, reason):
+    certificate, source, target = with_duals
+    report = verify(dataclasses.replace(certificate, **change(certificate)), source, target)
+    assert not report.accepted
+    assert reason in report.reason
+
+
+def test_the_check_needs_numpy_only(case, tmp_path):
+    certificate, source, target = case
+    write(tmp_path / "c.npz", certificate)
+    np.savez(tmp_path / "clouds.npz", source=source, target=target)
+    code = """
+import sys
+for name in "scipy", "numba":
+    sys.modules[name] = None
+import numpy as np
+from dcreg.certificate.verification import verify
+clouds = np.load("clouds.npz")
+report = verify("c.npz", clouds["source"], clouds["target"])
+assert report.accepted, report.reason
+"""
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+
+
+def test_a_file_without_duals_is_read(case, tmp_path):
+    """Version 4 of the format had none."""
+    certificate, source, target = case
+    write(tmp_path / "c.npz", certificate)
+    with np.load(tmp_path / "c.npz") as file:
+        arrays = dict(file)
+    for name in "leaf_duals", "dual_units", "checksum":
+        del arrays[name]
+    arrays["format_version"] = np.array(4)
+    arrays["checksum"] = np.array(format._checksum(arrays))
+    np.savez(tmp_path / "old.npz", **arrays)
+    report = verify(tmp_path / "old.npz", source, target)
+    assert report.accepted, report.reason
 
 
 def test_a_range_of_poses_has_no_certificate():
