@@ -40,7 +40,7 @@ from dcreg.certificate.verification import Report, verify
 
 # Bytes of a proof file in the repository. A larger one must be stored unless `own_command` makes it
 # again, because the command of another program cannot be run to check the bound.
-MAX_OWN, MAX_OTHER = 100_000, 1_000_000
+MAX_OWN, MAX_OTHER = 600_000, 1_000_000
 STATED = 1e-6  # relative error that a stated objective may have
 
 
