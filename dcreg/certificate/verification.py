@@ -1,4 +1,4 @@
-"""Check a certificate with NumPy and SciPy only, without the code of the search.
+"""Check a certificate in NumPy, and SciPy for assignments, without the code of the search.
 
 Neither this module nor its imports use the library's search, bounds, spaces or kernels, so that an error
 there cannot remain hidden. The checks, in order: the certificate is complete and refers to these clouds;

@@ -214,7 +214,7 @@ def batch(
 def verify(
     *, certificate: Path, clouds: CloudFiles, exact: bool = False, quiet: Quiet = False
 ) -> int:
-    """Check a certificate against its clouds, using only NumPy and SciPy.
+    """Check a certificate against its clouds, without the code of the search.
 
     Exit code: 0 the claim is proven, or true but trivial; 2 bad input;
     5 the certificate is rejected (the message states the reason).

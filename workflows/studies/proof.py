@@ -99,7 +99,7 @@ def main(
     if any({name: row.get(name) for name in settings} != settings for row in rows):
         raise typer.BadParameter(f"{path} was made with other settings; give another folder")
     done = {(row["shape"], row["test"], row["level"], row["trial"]) for row in rows}
-    for cell in _cells(trials, tests.split(","), shapes.split(",")):
+    for cell in cells(trials, tests.split(","), shapes.split(",")):
         if tuple(cell) not in done:
             raw = cell.instance(points, plane)
             given = known_axis(raw, cell.trial) if axis else None
@@ -128,7 +128,7 @@ def summary(solves: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _cells(trials: int, tests: list[str], shapes: list[str]) -> Iterator[Cell]:
+def cells(trials: int, tests: list[str], shapes: list[str]) -> Iterator[Cell]:
     for trial, test in itertools.product(range(trials), tests):
         for level, shape in itertools.product(TESTS[test], shapes):
             yield Cell(shape, test, level, trial)
