@@ -20,6 +20,7 @@ import numpy as np
 from dcreg.certificate.assignment import improve_duals, shortest_paths, sum_of_smallest
 from dcreg.certificate.format import Certificate, require
 from dcreg.certificate.objective import Objective
+from dcreg.certificate.vectors import cross, matrices, plus_duals, squared_distances
 
 WORTH_ASSIGNMENT = 0.7  # share of the bound needed from which the pairs of caps are assigned
 FEW_PAIRS = 1000  # the search bounds boxes of so few by caps only
@@ -111,7 +112,7 @@ class RigidPoses(Objective):
     # --- the objective
 
     def costs(self, theta: np.ndarray) -> np.ndarray:
-        moved = self.source @ _matrices(theta[None, :4])[0].T + theta[4:]
+        moved = self.source @ matrices(theta[None, :4])[0].T + theta[4:]
         return ((moved[:, None] - self.target) ** 2).sum(axis=2)
 
     def region(self) -> tuple[np.ndarray, np.ndarray]:
@@ -160,8 +161,8 @@ class RigidPoses(Objective):
 
     def costs_with(self, thetas: np.ndarray, duals: np.ndarray) -> np.ndarray:
         """Return (B, n, m) squared distances plus duals (B, m), at few poses (B, 7)."""
-        moved = self.source @ _matrices(thetas[:, :4]).swapaxes(1, 2) + thetas[:, None, 4:]
-        costs = _plus_duals(moved, self.target, duals)
+        moved = self.source @ matrices(thetas[:, :4]).swapaxes(1, 2) + thetas[:, None, 4:]
+        costs = plus_duals(moved, self.target, duals)
         if self.feasible is not None:
             costs += self.penalty
         return costs
@@ -222,7 +223,7 @@ class RigidPoses(Objective):
         # vertex times the conjugate of the centre
         real = (vertices * q).sum(axis=2, keepdims=True)
         vector = q[..., :1] * vertices[..., 1:] - vertices[..., :1] * q[..., 1:]
-        vector -= _cross(vertices[..., 1:], q[..., 1:])
+        vector -= cross(vertices[..., 1:], q[..., 1:])
         exists = (real > 0.0).all(axis=(1, 2))
         gibbs = np.where(exists[:, None, None], vector / np.where(real > 0.0, real, 1.0), 0.0)
         tangent = np.where(exists, np.sqrt((gibbs**2).sum(axis=2).max(axis=1)), np.inf)
@@ -230,7 +231,7 @@ class RigidPoses(Objective):
 
     def points(self, boxes: Boxes) -> tuple[np.ndarray, np.ndarray]:
         """Return the source rotated to the centres of boxes, and the target minus their translations."""
-        moved = self.source @ _matrices(boxes.centre[:, :4]).swapaxes(1, 2)
+        moved = self.source @ matrices(boxes.centre[:, :4]).swapaxes(1, 2)
         return moved, self.target - boxes.centre[:, None, 4:]
 
     def cap_costs(self, boxes: Boxes) -> np.ndarray:
@@ -265,7 +266,7 @@ class RigidPoses(Objective):
 
     def displacements(self, boxes: Boxes) -> np.ndarray:
         """Return (B, 8, S, n) squares of ``2 r x x + s`` at the vertices (r, s) of the boxes."""
-        turned = 2.0 * _cross(boxes.gibbs[:, :, None], self.points(boxes)[0][:, None])
+        turned = 2.0 * cross(boxes.gibbs[:, :, None], self.points(boxes)[0][:, None])
         shifts = _signed(boxes.half)[:, None]
         squares = 2.0 * (shifts @ turned.swapaxes(2, 3))
         squares += (turned**2).sum(axis=3)[:, :, None]
@@ -293,7 +294,7 @@ class RigidPoses(Objective):
     def cayley_bound(self, boxes: Boxes, duals: np.ndarray, needed: float) -> np.ndarray:
         """Bound by Cayley's form, linearised at the best pose for the cheapest pairs at the centre."""
         moved, fixed = self.points(boxes)
-        costs = _squared_distances(moved, fixed) + self.penalty + duals[:, None]
+        costs = squared_distances(moved, fixed) + self.penalty + duals[:, None]
         columns, rows = costs.argmin(axis=2), costs.min(axis=2)
         last = np.partition(rows, self.k - 1, axis=1)[:, self.k - 1, None]
         columns[rows > last] = len(self.target)  # not matched
@@ -304,8 +305,8 @@ class RigidPoses(Objective):
         turn, shift = np.clip(turn, -reach, reach), np.clip(shift, -half, half)
         moved, fixed = moved[:, :, None], fixed[:, None]
         both = moved + fixed
-        residual = moved - fixed + shift[:, None, None] + _cross(turn[:, None, None], both)
-        torque = _cross(both, residual)
+        residual = moved - fixed + shift[:, None, None] + cross(turn[:, None, None], both)
+        torque = cross(both, residual)
         constant = (residual**2).sum(axis=3) + self.penalty + duals[:, None]
         minima = np.full(len(half), np.inf)
         for r in np.moveaxis(boxes.gibbs - turn[:, None], 1, 0):
@@ -330,7 +331,7 @@ def _fit(
     y = np.take_along_axis(fixed, np.minimum(columns, m - 1)[:, :, None], axis=1)
     both, off = (moved + y) * matched, (moved - y) * matched
     eye = np.eye(3)
-    turned = _cross(eye[:, None], both[:, None])  # (B, 3, n, 3): for each unit vector r
+    turned = cross(eye[:, None], both[:, None])  # (B, 3, n, 3): for each unit vector r
     pushed = (eye[:, None] * matched[:, None])[:, : 3 * has_shifts]
     jacobian = np.concatenate([turned, pushed], axis=1).reshape(len(y), -1, 3 * y.shape[1])
     normal = jacobian @ jacobian.swapaxes(1, 2)
@@ -339,52 +340,9 @@ def _fit(
     return found[:, :3], found[:, 3:] if has_shifts else np.zeros((len(y), 3))
 
 
-def _squared_distances(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return (..., n, m) squared distances of (..., n, 3) and (..., m, 3) points."""
-    costs = x @ y.swapaxes(-1, -2)
-    costs *= -2.0
-    costs += (x**2).sum(axis=-1)[..., :, None]
-    costs += (y**2).sum(axis=-1)[..., None, :]
-    return np.maximum(costs, 0.0, out=costs)
-
-
-def _plus_duals(x: np.ndarray, y: np.ndarray, duals: np.ndarray) -> np.ndarray:
-    """Return (B, n, m) squared distances of (B, n, 3) and (m, 3) points plus (B, m) duals.
-
-    One product of matrices, with (-2 x, |x|^2, 1) and (y, 1, |y|^2 + dual).
-    """
-    left = np.ones((*x.shape[:2], 5))
-    left[..., :3] = -2.0 * x
-    left[..., 3] = (x**2).sum(axis=2)
-    right = np.ones((len(x), 5, len(y)))
-    right[:, :3] = y.T
-    right[:, 4] = (y**2).sum(axis=1) + duals
-    return left @ right
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the cross product along the last axis; faster than NumPy's."""
-    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for axis in range(3):
-        one, other = (axis + 1) % 3, (axis + 2) % 3
-        out[..., axis] = a[..., one] * b[..., other] - a[..., other] * b[..., one]
-    return out
-
-
 def _signed(half: np.ndarray) -> np.ndarray:
     """Return the (B, 8, 3) vertices of boxes around 0; only one if all boxes are flat."""
     return half[:, None] * (2.0 * BITS - 1.0) if half.any() else half[:, None]
-
-
-def _matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Return the (B, 3, 3) rotations of quaternions of any length."""
-    w, x, y, z = quaternions.T / np.linalg.norm(quaternions, axis=1)
-    rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    return np.moveaxis(np.array(rows), 2, 0)
 
 
 def _largest_mean(points: np.ndarray, count: int) -> float:
