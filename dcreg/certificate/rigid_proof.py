@@ -73,7 +73,7 @@ class RigidProof(Proof):
             return np.full(len(leaves), np.inf)
         objective = self.objective
         bounds = self._bound_by(self._duals[leaves], lower, upper, needed)
-        failed = np.flatnonzero(bounds < needed)
+        failed = np.flatnonzero(~(bounds >= needed))
         np.add.at(self._failures, leaves[failed], 1)
         for at in failed[self._failures[leaves[failed]] >= PATIENCE]:
             box, leaf = slice(at, at + 1), leaves[at]
