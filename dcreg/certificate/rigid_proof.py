@@ -56,7 +56,8 @@ class RigidProof(Proof):
             n_duals = stored.shape[1]
             require(n_duals == m, f"leaf_duals: of {n_duals} points, but the cloud has {m}")
             # larger ones prove nothing, and their rounding errors would exceed the tolerance
-            is_small = np.ldexp(float(stored.max()), int(units.max())) <= objective.max_dual
+            largest = np.ldexp(stored.max(axis=1).astype(np.float64), units).max()
+            is_small = largest <= objective.max_dual
             require(is_small, "leaf_duals: larger than any squared distance")
             self._duals[:] = np.ldexp(stored.astype(np.float32), units[:, None])
         self._failures = np.zeros(n_leaves, np.int64)

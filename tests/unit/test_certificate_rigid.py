@@ -159,6 +159,9 @@ def _worse(certificate, source, target):
             lambda c: {"leaf_duals": c.leaf_duals[1:], "dual_units": c.dual_units[1:]},
             "leaf_duals: of",
         ),
+        (lambda c: {"leaf_duals": c.leaf_duals[:, 0]}, "leaf_duals: shape"),
+        (lambda c: {"leaf_duals": np.uint8(0)}, "leaf_duals: shape"),
+        (lambda c: {"scale_range": [1.0, 1e9]}, "scale_range: "),
         (lambda c: {"dual_units": np.full_like(c.dual_units, 60)}, "larger than any"),
         (lambda c: {"dual_units": np.full_like(c.dual_units, 127)}, "larger than any"),
     ],
@@ -168,6 +171,15 @@ def test_duals_that_do_not_fit_are_refused(with_duals, change, reason):
     report = verify(dataclasses.replace(certificate, **change(certificate)), source, target)
     assert not report.accepted
     assert reason in report.reason
+
+
+def test_the_size_of_duals_is_compared_by_leaf(with_duals):
+    """The largest unit and the largest number may belong to different leaves."""
+    certificate, source, target = with_duals
+    duals, units = certificate.leaf_duals.copy(), certificate.dual_units.copy()
+    duals[0], units[0] = 0, 60
+    changed = dataclasses.replace(certificate, leaf_duals=duals, dual_units=units)
+    assert verify(changed, source, target).accepted
 
 
 def test_the_check_needs_numpy_only(case, tmp_path):
