@@ -18,8 +18,8 @@ from dcreg.certificate.proof import Progress, Proof
 from dcreg.certificate.rigid import BITS, ENDS, RigidPoses
 
 WIDE = 0.6  # tangent of half the angle from which displacements prove nothing
-# Squared displacements in a box, as multiples of the bound needed: caps are tried above the first,
-# Cayley's form below the second.
+# Squared displacements in a box, as multiples of the bound needed: caps are tried above the first and in
+# wide boxes, Cayley's form below the second.
 CAPPED, LINEAR = 100.0, 16.0
 # Boxes of a leaf that may fail until an auction improves its duals there, or until they are optimal.
 PATIENCE, EXACT = 2, 4
@@ -101,14 +101,17 @@ class RigidProof(Proof):
         reach = 2.0 * np.arctan(boxes.tangent) * objective.radius + boxes.shift
         displaced = objective.k * reach**2 / needed
         for bound, is_tried in (
-            (objective.cap_bound, (displaced > CAPPED) | objective.has_few_pairs),
+            (
+                objective.cap_bound,
+                (displaced > CAPPED) | (boxes.tangent > WIDE) | objective.has_few_pairs,
+            ),
             (objective.cayley_bound, displaced < LINEAR),
         ):
-            left = np.flatnonzero((bounds < needed) & is_tried)
+            left = np.flatnonzero(~(bounds >= needed) & is_tried)
             for part in objective.parts(left.size):
                 some = left[part]
                 found = bound(boxes.some(some), duals[some], needed)
-                bounds[some] = np.maximum(bounds[some], found)
+                bounds[some] = np.fmax(bounds[some], found)
         return bounds
 
 

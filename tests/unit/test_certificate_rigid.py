@@ -97,6 +97,17 @@ def test_the_command_writes_and_verifies_a_certificate(tmp_path):
         assert ("over all rigid poses" in proven.output) == (mode != "paper")
 
 
+def test_points_far_smaller_than_the_target_are_proven():
+    """Wide boxes of rotations need caps, even if the points hardly move."""
+    target = np.random.default_rng(0).standard_normal((40, 3))
+    result = register(
+        np.ones((40, 3)), target, n_inliers=40, model="rigid3d", mode="full", certificate=True
+    )
+    report = dcreg.verify(result.certificate, np.ones((40, 3)), target)
+    assert report.accepted, report.reason
+    assert report.n_boxes < 100
+
+
 @pytest.fixture(scope="module")
 def with_duals():
     """More than 1,000 pairs of points: a search bounds fewer by caps, without duals."""
