@@ -245,7 +245,7 @@ def check_shapes(c: Certificate) -> None:
     is_known = c.model in MODELS
     require(is_known, f"model {c.model!r} is unknown; a certificate refers to one of {(*MODELS,)}")
     dim, d = MODELS[c.model]
-    count = len(np.atleast_1d(c.leaf_bounds))
+    count, duals = len(np.atleast_1d(c.leaf_bounds)), np.atleast_2d(c.leaf_duals)
     shapes: tuple[tuple[tuple[int, ...], tuple[str, ...]], ...] = (
         ((2,), ("scale_range",)),
         ((dim,), ("source_centre", "target_centre")),
@@ -254,8 +254,8 @@ def check_shapes(c: Certificate) -> None:
         ((count,), ("leaf_reasons", "leaf_bounds")),
         ((), ("unit", "lower_bound", "upper_bound", "gap_tol", "n_inliers")),
         ((len(np.atleast_1d(c.candidates)), 2), ("candidates",)),
-        ((len(c.leaf_duals), *np.shape(c.leaf_duals)[1:2]), ("leaf_duals",)),
-        ((len(c.leaf_duals),), ("dual_units",)),
+        (duals.shape[:2], ("leaf_duals",)),
+        (duals.shape[:1], ("dual_units",)),
     )
     for shape, names in shapes:
         for name in names:
@@ -273,8 +273,8 @@ def check_shapes(c: Certificate) -> None:
     in_range = c.unit > 0 and c.gap_tol >= 0 and c.n_inliers >= 1
     require(in_range, "unit, gap_tol or n_inliers: out of range")
     require((c.candidates >= 0).all(), "candidates: a negative index")
-    require(
-        len(c.leaf_duals) in (0, count), f"leaf_duals: of {len(c.leaf_duals)} of {count} leaves"
-    )
+    require(len(duals) in (0, count), f"leaf_duals: of {len(duals)} of {count} leaves")
     low, high = c.scale_range
     require(0 < low <= high, f"scale_range: {c.scale_range}, but 0 < low <= high is needed")
+    is_fixed = c.model == "similarity2d" or low == high == 1.0
+    require(is_fixed, f"scale_range: {c.scale_range}, but model {c.model!r} has the scale 1")

@@ -67,6 +67,8 @@ class Objective(abc.ABC):
         Rounding error of the bounds, if coordinates are larger than the normalised ones.
     area : float
         The squared unit of the clouds, for messages.
+    largest_parameter : float
+        No coordinate of an optimum exceeds it.
     """
 
     scope: str
@@ -91,6 +93,8 @@ class Objective(abc.ABC):
         self.source, self.target, self.k = source, target, k
         self.scale_range, self.feasible = scale_range, feasible
         self.n_assignments = 0
+        far_x, far_y = (float(np.linalg.norm(each, axis=1).max()) for each in (source, target))
+        self.largest_parameter = scale_range[1] * (1.0 + far_x) + far_y
         self._profiles: dict[bytes, Profile] = {}
         self.prepare()
         self._duals = DualCache(self.weights, len(target))

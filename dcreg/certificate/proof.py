@@ -231,17 +231,17 @@ class Proof:
                 self._check_inadmissible(leaves[part][~outside], c)
                 bounds[part] = self._bound(leaves[part], lower[part], upper[part], outside, needed)
                 if depth % REFUTE_EVERY == 0:
-                    is_suspect = (bounds[part] < needed) | (doubtful[part] & ~outside)
+                    is_suspect = ~(bounds[part] >= needed) | (doubtful[part] & ~outside)
                     suspect = at + np.flatnonzero(is_suspect)
                     self._refute(lower[suspect], upper[suspect], leaves[suspect], c)
                 if self.progress is not None:
                     done = n_boxes + min(at + size, len(leaves))
-                    unproven = 2 * int((bounds[: at + size] < needed).sum())
+                    unproven = 2 * int((~(bounds[: at + size] >= needed)).sum())
                     self.progress(done, n_boxes + len(leaves) + unproven)
             n_boxes += len(leaves)
             self.n_boxes += len(leaves)
             depth += 1
-            left = np.flatnonzero(bounds < needed)
+            left = np.flatnonzero(~(bounds >= needed))  # NaN proves nothing
             far = np.repeat(bounds[left] < self.objective.far * needed, 2)
             leaves, lower, upper = self._halves(leaves[left], lower[left], upper[left])
             if far.any():
@@ -276,7 +276,7 @@ class Proof:
             unproven = np.flatnonzero(bounds < needed)
             if unproven.size:
                 found = bound(lower[unproven], upper[unproven], needed)
-                bounds[unproven] = np.fmax(bounds[unproven], found)  # NaN proves nothing
+                bounds[unproven] = np.fmax(bounds[unproven], found)
         return bounds
 
     def _refute(

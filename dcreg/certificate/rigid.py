@@ -144,11 +144,17 @@ class RigidPoses(Objective):
         return np.linalg.norm(thetas[:, :4], axis=1) > 0.1
 
     def lower_bounds(self, thetas: np.ndarray, needed: float = np.inf) -> np.ndarray:
-        """Bound by the k smallest distances to the nearest target or, if necessary, by an auction."""
-        none = np.zeros((len(thetas), len(self.target)))
-        out = self.values_from(thetas, none)
+        """Bound by the k smallest distances to the nearest target or, if necessary, by better duals.
+
+        They come from an auction and, if these do not suffice, from an assignment. The next pose begins
+        with them.
+        """
+        duals = np.zeros(len(self.target))
+        out = self.values_from(thetas, np.zeros((len(thetas), len(duals))))
         for at in np.flatnonzero(out < needed):
-            out[at], _ = self.improved(thetas[at], none[at])
+            for exactly in (False, True):
+                if out[at] < needed:
+                    out[at], duals = self.improved(thetas[at], duals, exactly=exactly)
         return out
 
     def values_from(self, thetas: np.ndarray, duals: np.ndarray) -> np.ndarray:

@@ -18,8 +18,8 @@ from dcreg.certificate.proof import Progress, Proof
 from dcreg.certificate.rigid import BITS, ENDS, RigidPoses
 
 WIDE = 0.6  # tangent of half the angle from which displacements prove nothing
-# Squared displacements in a box, as multiples of the bound needed: caps are tried above the first,
-# Cayley's form below the second.
+# Squared displacements in a box, as multiples of the bound needed: caps are tried above the first and in
+# wide boxes, Cayley's form below the second.
 CAPPED, LINEAR = 100.0, 16.0
 # Boxes of a leaf that may fail until an auction improves its duals there, or until they are optimal.
 PATIENCE, EXACT = 2, 4
@@ -56,7 +56,8 @@ class RigidProof(Proof):
             n_duals = stored.shape[1]
             require(n_duals == m, f"leaf_duals: of {n_duals} points, but the cloud has {m}")
             # larger ones prove nothing, and their rounding errors would exceed the tolerance
-            is_small = np.ldexp(float(stored.max()), int(units.max())) <= objective.max_dual
+            largest = np.ldexp(stored.max(axis=1).astype(np.float64), units).max()
+            is_small = largest <= objective.max_dual
             require(is_small, "leaf_duals: larger than any squared distance")
             self._duals[:] = np.ldexp(stored.astype(np.float32), units[:, None])
         self._failures = np.zeros(n_leaves, np.int64)
@@ -73,7 +74,7 @@ class RigidProof(Proof):
             return np.full(len(leaves), np.inf)
         objective = self.objective
         bounds = self._bound_by(self._duals[leaves], lower, upper, needed)
-        failed = np.flatnonzero(bounds < needed)
+        failed = np.flatnonzero(~(bounds >= needed))
         np.add.at(self._failures, leaves[failed], 1)
         for at in failed[self._failures[leaves[failed]] >= PATIENCE]:
             box, leaf = slice(at, at + 1), leaves[at]
@@ -100,14 +101,17 @@ class RigidProof(Proof):
         reach = 2.0 * np.arctan(boxes.tangent) * objective.radius + boxes.shift
         displaced = objective.k * reach**2 / needed
         for bound, is_tried in (
-            (objective.cap_bound, (displaced > CAPPED) | objective.has_few_pairs),
+            (
+                objective.cap_bound,
+                (displaced > CAPPED) | (boxes.tangent > WIDE) | objective.has_few_pairs,
+            ),
             (objective.cayley_bound, displaced < LINEAR),
         ):
-            left = np.flatnonzero((bounds < needed) & is_tried)
+            left = np.flatnonzero(~(bounds >= needed) & is_tried)
             for part in objective.parts(left.size):
                 some = left[part]
                 found = bound(boxes.some(some), duals[some], needed)
-                bounds[some] = np.maximum(bounds[some], found)
+                bounds[some] = np.fmax(bounds[some], found)
         return bounds
 
 

@@ -36,6 +36,7 @@ from dcreg.certificate.rigid import RigidPoses
 from dcreg.certificate.rigid_proof import RigidProof
 
 EXACT_MODEL = "similarity2d"  # the bounds of others need roots
+NEGLIGIBLE = 1e-6  # share of a lower bound up to which the tolerance for rounding is not subtracted
 MAX_DENSE = 4_000_000  # pairs of points up to which cost matrices are formed
 
 
@@ -216,6 +217,8 @@ def _check(
             *ends, report.lower_bound, report.upper_bound = interval(c, lower_bound, attained)
         else:
             lower_bound = _prove(report, _proof(objective, slack, most, progress, c), c)
+            if slack > NEGLIGIBLE * lower_bound:  # then the proof shows no more
+                lower_bound = max(0.0, lower_bound - slack)
             report.lower_bound = lower_bound * area
             ends = [f"{end:.9g}" for end in (report.lower_bound, report.upper_bound)]
     finally:
@@ -366,8 +369,16 @@ def check_claim(c: Certificate, slack: float, exact: float) -> None:
 
 
 def check_start_box(objective: Objective, lower: np.ndarray, upper: np.ndarray) -> None:
-    """Check that the start box contains a region, computed here, that contains every optimum."""
+    """Check that the start box contains a region, computed here, that contains every optimum.
+
+    A box much larger than the clouds is refused: the rounding errors of its bounds exceed the tolerance.
+    """
     need_lower, need_upper = objective.region()
+    largest = 2.0 * objective.largest_parameter
+    is_small = np.maximum(-lower, upper).max() <= largest
+    require(
+        is_small, f"start box: larger than {largest:.9g} (normalised), much larger than the clouds"
+    )
     tolerance = 1e-9 * (1.0 + np.abs(need_upper) + np.abs(need_lower))
     short = np.flatnonzero((lower > need_lower + tolerance) | (upper < need_upper - tolerance))
     if short.size:

@@ -260,7 +260,8 @@ def test_the_unit_cannot_be_exchanged(case):
     certificate, source, target = case
     box = np.full(len(certificate.theta), 10.0)
     forged = one_leaf(certificate, box, 0.0 * box + 1e-9, 5e-12, 5e-12)
-    forged = dataclasses.replace(forged, unit=1e9 * certificate.unit, scale_range=[1e-9, 1.0])
+    scales = [1e-9, 1.0] if certificate.model == "similarity2d" else [1.0, 1.0]
+    forged = dataclasses.replace(forged, unit=1e9 * certificate.unit, scale_range=scales)
     assert "unit: " in verify(forged, source, target).reason
 
 

@@ -10,6 +10,7 @@ import pytest
 import dcreg
 from dcreg.certificate import format, read, write
 from dcreg.certificate.rigid import RigidPoses
+from dcreg.certificate.rigid_proof import RigidProof
 from dcreg.certificate.verification import objective_of, verify
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.status import Status
@@ -96,6 +97,18 @@ def test_the_command_writes_and_verifies_a_certificate(tmp_path):
         assert ("over all rigid poses" in proven.output) == (mode != "paper")
 
 
+def test_points_far_smaller_than_the_target_are_proven():
+    """Wide boxes of rotations need caps, even if the points hardly move."""
+    target = np.random.default_rng(0).standard_normal((40, 3))
+    result = register(
+        np.ones((40, 3)), target, n_inliers=40, model="rigid3d", mode="full", certificate=True
+    )
+    report = dcreg.verify(result.certificate, np.ones((40, 3)), target)
+    assert report.accepted, report.reason
+    assert report.n_boxes < 100
+    assert report.n_assignments < 50  # not one for each sampled pose
+
+
 @pytest.fixture(scope="module")
 def with_duals():
     """More than 1,000 pairs of points: a search bounds fewer by caps, without duals."""
@@ -158,6 +171,9 @@ def _worse(certificate, source, target):
             lambda c: {"leaf_duals": c.leaf_duals[1:], "dual_units": c.dual_units[1:]},
             "leaf_duals: of",
         ),
+        (lambda c: {"leaf_duals": c.leaf_duals[:, 0]}, "leaf_duals: shape"),
+        (lambda c: {"leaf_duals": np.uint8(0)}, "leaf_duals: shape"),
+        (lambda c: {"scale_range": [1.0, 1e9]}, "scale_range: "),
         (lambda c: {"dual_units": np.full_like(c.dual_units, 60)}, "larger than any"),
         (lambda c: {"dual_units": np.full_like(c.dual_units, 127)}, "larger than any"),
     ],
@@ -167,6 +183,15 @@ def test_duals_that_do_not_fit_are_refused(with_duals, change, reason):
     report = verify(dataclasses.replace(certificate, **change(certificate)), source, target)
     assert not report.accepted
     assert reason in report.reason
+
+
+def test_the_size_of_duals_is_compared_by_leaf(with_duals):
+    """The largest unit and the largest number may belong to different leaves."""
+    certificate, source, target = with_duals
+    duals, units = certificate.leaf_duals.copy(), certificate.dual_units.copy()
+    duals[0], units[0] = 0, 60
+    changed = dataclasses.replace(certificate, leaf_duals=duals, dual_units=units)
+    assert verify(changed, source, target).accepted
 
 
 def test_the_check_needs_numpy_only(case, tmp_path):
@@ -340,6 +365,71 @@ def test_edited_certificate_is_refused(case, edit, tmp_path):
     assert not report.accepted
     assert report.reason
     assert not report.statement
+
+
+def false_statement(c, source, target, half):
+    """A worse pose as the optimum; the leaves are the four facets times the octants of the start box."""
+    facets = np.repeat(np.arange(4), 8)
+    signs = np.tile(2 * (np.arange(8)[:, None] >> np.arange(3) & 1) - 1, (4, 1))
+    lower = np.hstack(
+        [-np.ones((32, 4)), np.minimum(signs, 0) * half[(signs > 0).astype(int), range(3)]]
+    )
+    upper = np.hstack(
+        [np.ones((32, 4)), np.maximum(signs, 0) * half[(signs > 0).astype(int), range(3)]]
+    )
+    lower[np.arange(32), facets] = 1.0
+    theta = c.theta + np.array([0.0, 0.1, -0.1, 0.1, 0.2, 0.1, 0.0])
+    value = objective_of(c, source, target).value(theta)
+    return dataclasses.replace(
+        c, theta=theta, upper_bound=value, lower_bound=value, gap_tol=0.0, leaf_lower=lower,
+        leaf_upper=upper, leaf_bounds=np.full(32, value), leaf_reasons=np.zeros(32),
+        start_lower=lower.min(axis=0), start_upper=upper.max(axis=0),
+        leaf_duals=np.empty((0, 0)), dual_units=np.empty(0),
+    )  # fmt: skip
+
+
+def test_a_start_box_whose_rounding_errors_prove_anything_is_refused(case):
+    """The bounds of caps are differences; rounding raises all of them for one choice in thousands."""
+    certificate, source, target = case
+    half = 1e24 * np.random.default_rng(0).uniform(0.5, 1.0, (400_000, 2, 3))
+    corners = np.stack(
+        [half[:, [a, b, c], range(3)] for a in (0, 1) for b in (0, 1) for c in (0, 1)]
+    )
+    squares = ((0.5 * corners) ** 2).sum(axis=2)
+    is_raised = (np.sqrt(squares) ** 2 < squares).all(axis=0)
+    for chosen in half[is_raised]:
+        report = verify(false_statement(certificate, source, target, chosen), source, target)
+        assert "start box: larger than" in report.reason
+
+
+def test_a_bound_that_is_no_number_proves_nothing(case):
+    certificate, source, target = case
+    false = false_statement(certificate, source, target, np.full((2, 3), 3.0))
+    objective = objective_of(certificate, source, target)
+    objective.cap_bound = lambda boxes, *_: np.full(len(boxes.centre), np.nan)
+    proof = RigidProof(objective, 0.0, 200, None, false)
+    with pytest.raises(format.CertificateError):
+        proof.run(false, false.lower_bound)
+
+
+def test_only_what_exceeds_rounding_is_stated():
+    """A distant source point makes rounding errors larger than the objective."""
+    rng = np.random.default_rng(1)
+    source = rng.standard_normal((8, 3))
+    target = source + 0.05 * rng.standard_normal((8, 3))
+    source = np.vstack([source, [1e6, 0.0, 0.0]])
+    c = register(
+        source, target, n_inliers=8, model="rigid3d", mode="full", certificate=True, node_limit=300
+    ).certificate  # fmt: skip
+    theta = c.theta + np.array([0.0, 1e-6, 0.0, 0.0, 0.1, 0.2, 0.0])
+    value = objective_of(c, source, target).value(theta)
+    assert value > 2.0 * c.upper_bound
+    false = dataclasses.replace(
+        c, theta=theta, upper_bound=value, lower_bound=0.99 * value, gap_tol=0.01 * value,
+        leaf_bounds=np.full(len(c.leaf_bounds), 0.99 * value),
+    )  # fmt: skip
+    report = verify(false, source, target)
+    assert not report.accepted or report.lower_bound <= c.upper_bound * c.unit**2
 
 
 def test_other_clouds_are_refused(case):
