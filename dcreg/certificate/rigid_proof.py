@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from dcreg.certificate.format import Certificate, require
-from dcreg.certificate.proof import Progress, Proof
+from dcreg.certificate.proof import Proof
 from dcreg.certificate.rigid import BITS, ENDS, RigidPoses
 
 WIDE = 0.6  # tangent of half the angle from which displacements prove nothing
@@ -26,41 +26,29 @@ PATIENCE, EXACT = 2, 4
 
 
 class RigidProof(Proof):
-    """A proof of the lower bound of a certificate of rigid poses.
-
-    Parameters
-    ----------
-    objective : RigidPoses
-    slack : float
-    max_boxes : int
-    progress : callable, optional
-    certificate : Certificate
-        Its duals are used.
-    """
+    """A proof of the lower bound of a certificate of rigid poses, with the duals of its leaves."""
 
     objective: RigidPoses
+    _duals: np.ndarray  # (L, m)
+    _failures: np.ndarray  # boxes of each leaf that were not proven
 
-    def __init__(
-        self,
-        objective: RigidPoses,
-        slack: float,
-        max_boxes: int,
-        progress: Progress | None,
-        certificate: Certificate,
-    ) -> None:
-        super().__init__(objective, slack, max_boxes, progress)
-        m, n_leaves = len(objective.target), len(certificate.leaf_bounds)
-        self._duals = np.zeros((n_leaves, m), np.float32)
-        stored, units = certificate.leaf_duals, certificate.dual_units
-        if len(stored):
-            n_duals = stored.shape[1]
-            require(n_duals == m, f"leaf_duals: of {n_duals} points, but the cloud has {m}")
-            # larger ones prove nothing, and their rounding errors would exceed the tolerance
-            largest = np.ldexp(stored.max(axis=1).astype(np.float64), units).max()
-            is_small = largest <= objective.max_dual
-            require(is_small, "leaf_duals: larger than any squared distance")
-            self._duals[:] = np.ldexp(stored.astype(np.float32), units[:, None])
-        self._failures = np.zeros(n_leaves, np.int64)
+    def run(self, c: Certificate, lower_bound: float) -> None:
+        self._duals = self._read_duals(c)
+        self._failures = np.zeros(len(c.leaf_bounds), np.int64)
+        super().run(c, lower_bound)
+
+    def _read_duals(self, c: Certificate) -> np.ndarray:
+        """Return the duals in the file; zeros if there are none."""
+        m, stored, units = len(self.objective.target), c.leaf_duals, c.dual_units
+        if not len(stored):
+            return np.zeros((len(c.leaf_bounds), m), np.float32)
+        n_duals = stored.shape[1]
+        require(n_duals == m, f"leaf_duals: of {n_duals} points, but the cloud has {m}")
+        # larger ones prove nothing, and their rounding errors would exceed the tolerance
+        largest = np.ldexp(stored.max(axis=1).astype(np.float64), units).max()
+        is_small = largest <= self.objective.max_dual
+        require(is_small, "leaf_duals: larger than any squared distance")
+        return np.ldexp(stored.astype(np.float32), units[:, None])
 
     def _bound(
         self,

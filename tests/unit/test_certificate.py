@@ -469,5 +469,5 @@ def test_the_limit_of_an_exact_fit_is_that_of_the_search(far):
     if far:
         source, target = (np.vstack([cloud, np.full((1, 2), far)]) for cloud in (source, target))
     certificate = certify(source, target, 8, "similarity2d", bound="dc", nodes=50)
-    found = verification.exact_up_to(certificate, source, target) * certificate.unit**2
+    found = statement.exact_up_to(certificate, source, target) * certificate.unit**2
     assert found == pytest.approx(exact_objective(source, target, 8), rel=1e-6)
