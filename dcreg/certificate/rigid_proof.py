@@ -64,15 +64,17 @@ class RigidProof(Proof):
         bounds = self._bound_by(self._duals[leaves], lower, upper, needed)
         failed = np.flatnonzero(~(bounds >= needed))
         np.add.at(self._failures, leaves[failed], 1)
-        for at in failed[self._failures[leaves[failed]] >= PATIENCE]:
-            box, leaf = slice(at, at + 1), leaves[at]
-            value, self._duals[leaf] = objective.improved(
-                0.5 * (lower[at] + upper[at]), self._duals[leaf],
-                exactly=bool(self._failures[leaf] >= EXACT),
-            )  # fmt: skip
-            if value >= needed:
-                duals = self._duals[leaves[box]]
-                bounds[box] = self._bound_by(duals, lower[box], upper[box], needed)
+        stubborn = failed[self._failures[leaves[failed]] >= PATIENCE]
+        values, own = np.empty(len(stubborn)), self._duals[leaves[stubborn]]
+        for row, at in enumerate(stubborn):
+            leaf, centre = leaves[at], 0.5 * (lower[at] + upper[at])
+            values[row], own[row] = objective.improved(
+                centre, self._duals[leaf], exactly=bool(self._failures[leaf] >= EXACT)
+            )
+            self._duals[leaf] = own[row]
+        own, again = own[values >= needed], stubborn[values >= needed]
+        if again.size:
+            bounds[again] = self._bound_by(own, lower[again], upper[again], needed)
         return bounds
 
     def _bound_by(
@@ -81,25 +83,30 @@ class RigidProof(Proof):
         """Bound boxes by their duals (B, m)."""
         objective, bounds = self.objective, np.zeros(len(lower))
         boxes = objective.boxes(lower, upper)
-        near = np.flatnonzero(boxes.tangent <= WIDE)
-        if near.size:
-            vertices = Vertices(objective, lower[near], upper[near], duals[near])
-            bounds[near] = vertices.bound(needed)
         # an upper bound on the sum of the squared displacements, relative to the bound needed
         reach = 2.0 * np.arctan(boxes.tangent) * objective.radius + boxes.shift
-        displaced = objective.k * reach**2 / needed
+        displaced, is_wide = objective.k * reach**2 / needed, boxes.tangent > WIDE
+
+        def vertex_bound(chosen: np.ndarray) -> np.ndarray:
+            return Vertices(objective, lower[chosen], upper[chosen], duals[chosen]).bound(needed)
+
+        def in_parts(bound: Callable[..., np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+            return lambda chosen: np.concatenate([
+                bound(boxes.some(chosen[part]), duals[chosen[part]], needed)
+                for part in objective.parts(len(chosen))
+            ])  # fmt: skip
+
         for bound, is_tried in (
             (
-                objective.cap_bound,
-                (displaced > CAPPED) | (boxes.tangent > WIDE) | objective.has_few_pairs,
+                in_parts(objective.cap_bound),
+                is_wide | (displaced > CAPPED) | objective.has_few_pairs,
             ),
-            (objective.cayley_bound, displaced < LINEAR),
+            (vertex_bound, ~is_wide),
+            (in_parts(objective.cayley_bound), displaced < LINEAR),
         ):
             left = np.flatnonzero(~(bounds >= needed) & is_tried)
-            for part in objective.parts(left.size):
-                some = left[part]
-                found = bound(boxes.some(some), duals[some], needed)
-                bounds[some] = np.fmax(bounds[some], found)
+            if left.size:
+                bounds[left] = np.fmax(bounds[left], bound(left))
         return bounds
 
 

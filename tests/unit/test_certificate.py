@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dcreg
-from dcreg.certificate import CertificateError, format, verification
+from dcreg.certificate import CertificateError, format, statement, verification
 from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Proof, check_partition
 from dcreg.certificate.verification import check_samples, objective_of, verify
