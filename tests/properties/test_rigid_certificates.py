@@ -67,7 +67,7 @@ def test_no_bound_above_the_minimum_is_accepted(problem, share):
     assert not dcreg.verify(forged, source, target, n_samples=0, max_boxes=4000).accepted
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(PAIRS, SEEDS, st.sampled_from([1.0, 0.3, 0.1, 0.03, 1e-3]), st.booleans())
 def test_no_box_around_the_optimum_is_proven_above_it(problem, seed, size, is_tilted):
     source, target, k = problem
