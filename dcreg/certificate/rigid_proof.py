@@ -18,8 +18,8 @@ from dcreg.certificate.proof import Proof
 from dcreg.certificate.rigid import BITS, ENDS, RigidPoses
 
 WIDE = 0.6  # tangent of half the angle from which displacements prove nothing
-# Squared displacements in a box, as multiples of the bound needed: caps are tried above the first and in
-# wide boxes, Cayley's form below the second.
+# Squared displacements in a box, as multiples of the bound needed: after the vertices, caps are tried
+# above the first, and Cayley's form below the second.
 CAPPED, LINEAR = 100.0, 16.0
 # Boxes of a leaf that may fail until an auction improves its duals there, or until they are optimal.
 PATIENCE, EXACT = 2, 4
@@ -96,12 +96,11 @@ class RigidProof(Proof):
                 for part in objective.parts(len(chosen))
             ])  # fmt: skip
 
+        needs_caps = is_wide | objective.has_few_pairs  # the search has no other bound for these
         for bound, is_tried in (
-            (
-                in_parts(objective.cap_bound),
-                is_wide | (displaced > CAPPED) | objective.has_few_pairs,
-            ),
+            (in_parts(objective.cap_bound), needs_caps),
             (vertex_bound, ~is_wide),
+            (in_parts(objective.cap_bound), (displaced > CAPPED) & ~needs_caps),
             (in_parts(objective.cayley_bound), displaced < LINEAR),
         ):
             left = np.flatnonzero(~(bounds >= needed) & is_tried)
