@@ -8,7 +8,6 @@ computation may stop there.
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
 
 import numpy as np
 
@@ -20,9 +19,6 @@ from dcreg.certificate.assignment import (
     sum_of_smallest,
 )
 from dcreg.certificate.format import Certificate, CertificateError
-
-# (lower, upper, needed) -> the lower bounds of B boxes
-BoxBound = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 
 
 def _sum_of(cost: np.ndarray, columns: np.ndarray) -> float:
@@ -131,9 +127,9 @@ class Objective(abc.ABC):
 
     # --- bounds over B boxes
 
-    @abc.abstractmethod
     def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
         """Bound by the k smallest distances to the nearest target, each at its best theta of the box."""
+        raise NotImplementedError
 
     def interval_costs(self, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         """Return the (n, m) minimum squared distances over one box."""

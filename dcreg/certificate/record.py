@@ -13,7 +13,7 @@ from dcreg.problem import Frame, Problem
 from dcreg.search import Box, Boxes, Outcome
 from dcreg.search.boxes import morton_order
 
-LARGEST_DUAL = 15
+LARGEST_DUAL = 15  # in 4 bits
 
 
 def record(

@@ -187,11 +187,6 @@ class RigidPoses(Objective):
 
     # --- bounds over boxes
 
-    def nearest_bound(self, lower: np.ndarray, upper: np.ndarray, needed: float) -> np.ndarray:
-        """Bound by spherical caps."""
-        none = np.zeros((len(lower), len(self.target)))
-        return self.cap_bound(self.boxes(lower, upper), none, needed)
-
     def cap_bound(self, boxes: Boxes, duals: np.ndarray, needed: float) -> np.ndarray:
         """Bound by spherical caps: nearest points of either cloud, or pairs if these may suffice."""
         costs = self.cap_costs(boxes)

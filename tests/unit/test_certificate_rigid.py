@@ -194,8 +194,8 @@ def test_the_size_of_duals_is_compared_by_leaf(with_duals):
     assert verify(changed, source, target).accepted
 
 
-def test_the_check_needs_numpy_only(case, tmp_path):
-    certificate, source, target = case
+def test_the_check_needs_numpy_only(with_duals, tmp_path):
+    certificate, source, target = with_duals
     write(tmp_path / "c.npz", certificate)
     np.savez(tmp_path / "clouds.npz", source=source, target=target)
     code = """
