@@ -19,8 +19,8 @@ import numpy as np
 import pandas as pd
 
 from workflows.outcomes import TIMED
+from workflows.stages.worker import COUNTERS
 
-COUNTERS = ("n_nodes", "n_assignments")
 CONFIDENCE = 0.95
 MARGIN = 1.02  # smaller differences between two processes have other causes, such as memory layout
 ONCE_MARGIN = 1.5

@@ -27,7 +27,12 @@ const drawn = (async () => {
     unpacked(document.getElementById("data").textContent).json(),
   ]);
   const config = { displaylogo: false, responsive: true };
-  const draw = ({ data, layout }, at) => library.newPlot(`figure${at}`, data, layout, config);
+  const draw = ({ data, layout }, at) => {
+    const { eye } = layout.scene.camera;
+    // plotly scales a scene by the height of its figure
+    if (window.innerWidth < 600) for (const axis in eye) eye[axis] *= 1.35;
+    return library.newPlot(`figure${at}`, data, layout, config);
+  };
   await Promise.all(figures.map(draw));
 })();
 """
@@ -43,7 +48,7 @@ def figure(drawn: Sequence[go.BaseTraceType] = ()) -> go.Figure:
             template={"layout": {"xaxis": axis, "yaxis": axis}},
             scene={
                 **dict.fromkeys(("xaxis", "yaxis", "zaxis"), solid),
-                "camera": {"eye": {"x": 1.7, "y": 1.7, "z": 1.3}},  # tick labels fit on a phone
+                "camera": {"eye": {"x": 1.7, "y": 1.7, "z": 1.3}},
             },
             paper_bgcolor=_CLEAR,
             plot_bgcolor=_CLEAR,

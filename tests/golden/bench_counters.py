@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from tests.bench.cases import CASES, Case, Subject
+from workflows.stages.worker import COUNTERS
 
 STORED = Path(__file__).with_name("bench_counters.json")
-COUNTERS = ("n_nodes", "n_assignments")
 MARGIN = 0.1  # beyond the range met, where rounding matters at all
 N_JITTERS = 3
 COUNTED = {

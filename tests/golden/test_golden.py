@@ -9,8 +9,8 @@ import pytest
 
 from tests.golden.cases import CASES, Case
 from tests.golden.regenerate import COMMAND, stored
+from workflows.stages.worker import COUNTERS
 
-COUNTERS = ("n_nodes", "n_assignments")
 VALUES = ("lower_bound", "upper_bound", "objective")
 REMEDY = f"if this change is meant: {COMMAND}"
 

@@ -23,11 +23,11 @@ from dcreg.status import Status
 from workflows.config import LimitSettings, MethodSettings
 from workflows.stages.generate import noise_bound
 from workflows.stages.sandbox import Sandbox
+from workflows.stages.worker import CROSSED
 
 RUNS = Path("results") / "library" / "runs"
 PROFILE_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 60.0)
 RIGHT_GAP = 1.0 + DEFAULT_REL_GAP
-CROSSED = 1e-6  # relative rounding of a bound that meets the optimum
 
 
 def run_method(name: str, problems: Sequence[Problem], limit_s: float, folder: Path = RUNS) -> Path:
