@@ -92,6 +92,12 @@ def made_report(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture
+def blank_prints(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blank printed figures, for tests of other parts of a page: drawing takes most of the time."""
+    monkeypatch.setattr("reports.figures.printing.rendered", lambda *_, **__: b"<svg ></svg>")
+
+
 @pytest.fixture(scope="session")
 def browser(tmp_path_factory):
     """One headless browser for all tests of pages."""
