@@ -70,11 +70,14 @@ def names(root: Path | None = None) -> list[str]:
         folder.name
         for place in ([root] if root else roots())
         for folder in place.iterdir()
-        if folder.is_dir()
-        and not folder.name.startswith(("_", "."))
-        and any((folder / part).is_file() for part in ("card.yaml", "adapter.py"))
+        if _is_method(folder)
     }
     return sorted(folders if root else folders | {plugin.name for plugin in plugins(GROUP)})
+
+
+def _is_method(folder: Path) -> bool:
+    parts = (folder / part for part in ("card.yaml", "adapter.py"))
+    return not folder.name.startswith(("_", ".")) and any(part.is_file() for part in parts)
 
 
 def root_of(name: str) -> Path:
@@ -90,7 +93,8 @@ def folder_of(name: str, root: Path | None = None) -> Path:
     BaselineError
         The method is unknown, it is defined twice, or its package has no such folder.
     """
-    places = [place / name for place in ([root] if root else roots()) if name in names(place)]
+    folders = [place / name for place in ([root] if root else roots())]
+    places = [folder for folder in folders if folder.name == name and _is_method(folder)]
     added = [] if root else _plugins_named(name)
     if len(places) + len(added) > 1:
         parties = [*map(shown, places), *(plugin.origin for plugin in added)]

@@ -26,6 +26,8 @@ LONGEST = (
     "workflow/test_dag.py", "workflow/test_report_browser.py", "workflow/test_reproducibility.py",
     "workflow/test_profiles.py", "workflow/test_faults.py", "properties/test_cover.py",
     "properties/test_nearest_cover.py", "questions/test_questions.py", "unit/test_claims.py",
+    "workflow/test_merge.py", "golden/test_goicp_baseline.py", "bench/test_compile_counters.py",
+    "bad_input/test_bad_input.py",
 )  # fmt: skip
 # Files whose tests share nothing that is expensive to make: any worker may take a part of them.
 SPREAD = ("unit/test_compiling.py", "fuzz/test_fuzz.py")
@@ -88,6 +90,12 @@ def made_report(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("report")
     build(write_tables(folder / "tables"), folder / "index.html")
     return folder
+
+
+@pytest.fixture
+def blank_prints(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blank printed figures, for tests of other parts of a page: drawing takes most of the time."""
+    monkeypatch.setattr("reports.figures.printing.rendered", lambda *_, **__: b"<svg ></svg>")
 
 
 @pytest.fixture(scope="session")

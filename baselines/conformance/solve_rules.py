@@ -120,7 +120,7 @@ def bounds_are_consistent(method: Candidate, model: str) -> None:
 def results_repeat(method: Candidate, model: str) -> None:
     """A deterministic method repeats status, counters and pose exactly."""
     first = method.solved(model)
-    if not method.card.deterministic or first.status is Status.TIME_LIMIT:
+    if not method.card.deterministic or first.status.is_limit:
         return
     second = method.runnable().solve(easy_instance(model), LIMITS)
     same = second.status is first.status and second.counters == first.counters

@@ -286,6 +286,7 @@ def test_no_results_are_refused(tmp_path):
         writing.write([tmp_path], tmp_path / "2.0", "2.0")
 
 
+@pytest.mark.usefixtures("blank_prints")
 def test_all_pages_are_built_from_an_archive(archive, tmp_path):
     index = pages.build(str(archive), tmp_path / "pages")
     text = index.read_text()

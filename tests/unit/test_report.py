@@ -153,6 +153,7 @@ def test_every_success_rate_has_its_interval(made_report, tables):
     assert len(shown) == tried.groupby(["model", "test", "method"]).ngroups
 
 
+@pytest.mark.usefixtures("blank_prints")
 def test_a_report_links_to_the_history_next_to_the_results(small, tmp_path):
     folder, html = small
     assert "history-link" not in html
