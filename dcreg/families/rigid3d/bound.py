@@ -194,11 +194,10 @@ class RigidBound(SpaceBound[Rigid3D]):
 
         def work(part: slice) -> int:
             lower, upper, rows = boxes.lower[part], boxes.upper[part], rows_of(found, part)
-            spent: int = bound_boxes(lower, upper, *problem, rows)
             if vertices is not None:
                 workspace = allocate_workspace(space.n_source, space.n_target)
                 bound_boxes_by_duals(lower, upper, *problem, rows, workspace)
-                spent += bound_boxes(lower, upper, *problem, rows)
+            spent: int = bound_boxes(lower, upper, *problem, rows)
             return spent
 
         self.map_slices(len(boxes), work)

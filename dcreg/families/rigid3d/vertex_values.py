@@ -17,12 +17,13 @@ from dcreg.families.rigid3d.kernels.vertices import (
     VertexTable,
     bound_vertices_by_duals,
     bounds_by_vertices,
+    judge_boxes,
     request_values,
 )
 from dcreg.search import Boxes
 
-# Numbers of vertices that a box requests per round until a value decides; 0: no further requests.
-_REQUESTED = 1, 4, VERTICES, VERTICES, 0
+# Numbers of vertices that a box requests, in turn, until a value decides.
+_REQUESTED = 1, 4, VERTICES, VERTICES
 _REMEMBERED = 2**21  # maximum number of stored vertices, 73 bytes each; then all are dropped
 
 
@@ -93,19 +94,17 @@ class VertexValues:
             np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most)
         )
 
-        def request(part: slice, share: int) -> int:
-            states = rows_of(found.boxes, part)
-            self._used, count = request_values(
-                self.known, self._used, boxes.lower[part], boxes.upper[part], states, cutoff, share,
-                requests,
-            )  # fmt: skip
-            return count
-
         def judge(part: slice) -> int:
-            return request(part, 0)
+            lower, upper, states = boxes.lower[part], boxes.upper[part], rows_of(found.boxes, part)
+            judge_boxes(self.known, lower, upper, states, cutoff)
+            return 0
 
         self._map_slices(len(boxes), judge)
-        for share in _REQUESTED:
-            count = request(slice(None), share)
+        for most_each in _REQUESTED:
+            self._used, count = request_values(
+                self.known, self._used, boxes.lower, boxes.upper, found.boxes, cutoff, most_each,
+                requests,
+            )  # fmt: skip
             self._map_slices(count, lambda part: self._compute(rows_of(requests, part), found.kept))
+            self._map_slices(len(boxes), judge)
         bounds_by_vertices(self.known, found.boxes, cutoff, found.bounds)

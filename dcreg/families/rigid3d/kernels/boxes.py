@@ -3,8 +3,8 @@
 A box has seven axes: four of a quaternion, three of the translation of y = R x + t. Point sets are
 stored by axis, (3, n) and (3, m). `dcreg.families.rigid3d.bound` proves the bounds.
 
-Two kernels share the work, so a search over few pairs does not need to compile the second:
-`bound_boxes` bounds boxes by caps and by exact assignments, `bound_boxes_by_duals` by duals.
+Two kernels share the work, so a search over few pairs does not need to compile the first:
+`bound_boxes_by_duals` bounds boxes by duals, `bound_boxes` by caps and by exact assignments.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ WIDE = 0.6
 FEW_PAIRS = 1000
 # An assignment is worthwhile if the sum of nearest costs exceeds this share of the pruning threshold.
 WORTH_ASSIGNMENT = 0.35
-# Next step for a box: caps, duals, an exact assignment, none.
-_BEGIN, BY_DUALS, _SOLVE, _DONE = 0, 1, 2, 3
+# Next step for a box: its first bound, an exact assignment, none.
+_BEGIN, _SOLVE, _DONE = 0, 1, 2
 
 
 class Found(NamedTuple):
@@ -112,10 +112,9 @@ def is_small(box, radius, k, cutoff):
 
 @jit
 def bound_boxes(lower, upper, cutoff, clouds, limits, found):
-    """Bound boxes by caps and by exact assignments; return the number of assignments.
+    """Bound the boxes that `bound_boxes_by_duals` leaves over; return the number of assignments.
 
-    Boxes whose next step is a bound by duals are left to `bound_boxes_by_duals`. A second call bounds the
-    boxes that `bound_boxes_by_duals` leaves over.
+    Boxes without a bound are bounded by caps, small boxes by an exact assignment.
 
     Parameters
     ----------
@@ -139,9 +138,6 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
         if steps[at] == _DONE:
             continue
         box = geometry(lower[at], upper[at], centre, half, buffer)
-        if steps[at] == _BEGIN and not few and box.tangent <= WIDE:
-            steps[at] = BY_DUALS
-            continue
         look_from(clouds, centre, view)
         if steps[at] == _BEGIN:
             steps[at] = _DONE
@@ -179,7 +175,7 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
 
 @jit
 def bound_boxes_by_duals(lower, upper, cutoff, clouds, limits, found, work):
-    """Bound the boxes that `bound_boxes` leaves over; `work` is a `Workspace`."""
+    """Bound boxes by duals, but not wide ones; `work` is a `Workspace`."""
     m, k = clouds.target.shape[1], clouds.k
     view = empty_view(clouds)
     radius, farthest = extent(clouds.source)
@@ -188,10 +184,10 @@ def bound_boxes_by_duals(lower, upper, cutoff, clouds, limits, found, work):
     for at in range(lower.shape[0]):
         if clouds.stop[0]:
             break
-        if steps[at] != BY_DUALS:
+        box = geometry(lower[at], upper[at], centre, half, buffer)
+        if box.tangent > WIDE:
             continue
         steps[at] = _DONE
-        box = geometry(lower[at], upper[at], centre, half, buffer)
         look_from(clouds, centre, view)
         loss, joint = loss_of(box, limits), joint_loss_of(box, limits)
         goal = needed(joint.root, joint.rest, cutoff)

@@ -13,7 +13,7 @@ import numpy as np
 
 from dcreg.assignment.kernels.selection import total
 from dcreg.families.kernels import Clouds
-from dcreg.families.rigid3d.kernels.boxes import BY_DUALS, bound_boxes_by_duals
+from dcreg.families.rigid3d.kernels.boxes import bound_boxes_by_duals
 from dcreg.families.rigid3d.kernels.dual_bounds import keep_duals, raise_duals, region_rounding
 from dcreg.families.rigid3d.kernels.exclusion import (
     Ellipsoid,
@@ -158,7 +158,7 @@ def _in_parts(own, bounds, region, extent, scratch, stack, left, count):
         if tangent < _WIDE:
             for j in range(kept.shape[1]):
                 found.kept[0, j] = kept[depth, j]
-            found.steps[0] = BY_DUALS
+            found.bounds[0] = 0.0
             bound_boxes_by_duals(
                 lower[depth : depth + 1], upper[depth : depth + 1], cutoff, own, limits, found, work
             )

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -30,9 +29,9 @@ class VertexTable(NamedTuple):
         Slots by hash, -1 where empty; T is a power of two.
     poses : (S, 7) array
     values : (S,) array
-        Lower bounds on the minimum sum of costs; NaN while a value is requested.
+        Lower bounds on the minimum sum of costs; -inf if not yet computed.
     is_final : (S,) bool array
-        Whether another request cannot improve the value.
+        Whether the value is requested now, or another request cannot improve it.
     """
 
     table: np.ndarray
@@ -80,8 +79,17 @@ def allocate_states(count: int) -> BoxStates:
 
 
 @jit
+def judge_boxes(known, lower, upper, boxes, cutoff):
+    """Decide boxes by the known values: update their states."""
+    theta = np.empty(7)
+    for box in range(lower.shape[0]):
+        if boxes.states[box] == VALUES_NEEDED:
+            boxes.states[box] = _judged(known, lower[box], upper[box], boxes, box, cutoff, theta)
+
+
+@jit
 def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
-    """Decide boxes by the known values, and request further vertex values for the others.
+    """Request further vertex values for the boxes that the known values do not decide.
 
     Parameters
     ----------
@@ -90,7 +98,6 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
         Slots taken.
     lower, upper : (B, 7) arrays
     boxes : BoxStates
-        Updated if the known values decide.
     cutoff : float
         Boxes with at least this bound are pruned.
     most : int
@@ -104,9 +111,7 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
     """
     candidates, theta, count = np.empty(VERTICES, np.int64), np.empty(7), 0
     for box in range(lower.shape[0]):
-        if boxes.states[box] == VALUES_NEEDED:
-            boxes.states[box] = _judged(known, lower[box], upper[box], boxes, box, cutoff, theta)
-        if boxes.states[box] != VALUES_NEEDED or most == 0:
+        if boxes.states[box] != VALUES_NEEDED:
             continue
         alone, together = _goals(boxes, box, cutoff)
         n_open = 0
@@ -116,7 +121,10 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
             if cost < alone and _may_improve(known, boxes.slots[box, vertex], goal):
                 candidates[n_open] = vertex
                 n_open += 1
-        for rank in range(min(most, n_open)):
+        limit = count + most
+        for rank in range(n_open):
+            if count == limit:
+                break
             if most < n_open:  # the next vertex in the order of C
                 best = rank
                 for other in range(rank + 1, n_open):
@@ -131,7 +139,7 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
                 used = max(used, boxes.slots[box, at] + 1)
             slot = boxes.slots[box, at]
             if _may_improve(known, slot, goal):
-                known.values[slot] = np.nan
+                known.is_final[slot] = True
                 requests.slots[count], requests.boxes[count] = slot, box
                 requests.goals[count] = goal
                 count += 1
@@ -164,10 +172,7 @@ def _goals(boxes, box, cutoff):
 @jit
 def _may_improve(known, slot, goal):
     """Whether to request the value of a vertex that must reach `goal`."""
-    if slot < 0:
-        return True
-    value = known.values[slot]
-    return not math.isnan(value) and value < goal and not known.is_final[slot]
+    return slot < 0 or (known.values[slot] < goal and not known.is_final[slot])
 
 
 @jit
@@ -187,7 +192,7 @@ def _judged(known, lower, upper, boxes, box, cutoff, theta):
             vertex_pose(lower, upper, vertex, theta)
             place = _place(known, theta, _joined(rotations[vertex >> 3], shifts[vertex & 7]))
             slot = boxes.slots[box, vertex] = known.table[place]
-        if slot < 0 or math.isnan(known.values[slot]):
+        if slot < 0:
             state = VALUES_NEEDED
         elif known.values[slot] < 2.0 * together - cost:
             if not known.is_final[slot]:
@@ -230,7 +235,7 @@ def bound_vertices_by_duals(known, requests, duals, clouds, work):
         slot, kept = requests.slots[at], duals[requests.boxes[at]]
         look_from(clouds, known.poses[slot], view)
         value, is_final = dual_bound_at_pose(view, farthest, requests.goals[at], kept, work)
-        known.values[slot], known.is_final[slot] = value, is_final
+        known.values[slot], known.is_final[slot] = max(known.values[slot], value), is_final
 
 
 @jit_inner
