@@ -396,6 +396,5 @@ def _region(problem: Problem, frame: Frame) -> Any:
 def _special(problem: Problem) -> tuple[bool, bool, bool, bool]:
     """Return `restricted`, `many`, `large` and `whole` of `warm_up_mode` for a problem."""
     restricted, n, m = problem.candidates is not None, len(problem.source), len(problem.target)
-    whole = problem.model == "similarity3d" and problem.n_inliers == n == m
-    whole = whole and problem.weights is None
+    whole = problem.model == "similarity3d" and problem.n_inliers == n == m and not problem.weights
     return restricted, n * m > FEW_PAIRS, not restricted and is_large(n, m), whole
