@@ -19,7 +19,7 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.files import BatchFiles
-from dcreg.cli.folder import pairs_of_folder
+from dcreg.cli.folder import in_order, pairs_of_folder
 from dcreg.cli.interrupts import SIGNALS
 from dcreg.cli.numbers import parse_count_or_auto
 from dcreg.cli.options import Goal, Poses, Search
@@ -74,7 +74,7 @@ class Batch:
         tasks = self._tasks(names, 1 if jobs > 1 else None)
         inputs = [str(self.pairs), self.search.candidates_path, self.poses.init]
         files.check(*inputs, *(file for task in tasks for file in (task.source, task.target)))
-        table = _Table(out, columns(self.search.model), _described(names))
+        table = _Table(out, columns(self.search.model), self._described(names))
         content = cache(_content)  # a cloud may be in several pairs
         digests = [self._digest(task, content) for task in tasks]
         todo = [task for task in tasks if not table.take(task.place, digests[task.place])]
@@ -142,6 +142,18 @@ class Batch:
             raise dcreg.InputError(f"{self.pairs}: line {line}: {error}") from None
         return found
 
+    def _described(self, names: list[Row]) -> list[Row]:
+        """Return the first columns of each row; files are numbered in the order of table or folder."""
+        ends = ("source", "target")
+        files = list(dict.fromkeys(Path(row[end]) for row in names for end in ends))
+        if self.pairs.is_dir():
+            files.sort(key=lambda file: in_order(file.name))
+        numbers = {file: str(number) for number, file in enumerate(files)}
+        return [
+            {end: row[end] for end in ends} | {f"{end}_id": numbers[Path(row[end])] for end in ends}
+            for row in names
+        ]
+
     def _tasks(self, names: list[Row], threads: int | None) -> list[Task]:
         """Return the pairs; `threads` is the default of each search."""
         folder = self.pairs if self.pairs.is_dir() else self.pairs.parent
@@ -180,17 +192,6 @@ def _content(path: str) -> str:
         with suppress(OSError), Path(name).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     return "missing"
-
-
-def _described(names: list[Row]) -> list[Row]:
-    """Return the first columns of each row; files are numbered in the order of the table."""
-    ends = ("source", "target")
-    files = dict.fromkeys(Path(row[end]) for row in names for end in ends)
-    numbers = {file: str(number) for number, file in enumerate(files)}
-    return [
-        {end: row[end] for end in ends} | {f"{end}_id": numbers[Path(row[end])] for end in ends}
-        for row in names
-    ]
 
 
 class _Table:

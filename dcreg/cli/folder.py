@@ -40,7 +40,7 @@ def pairs_of_folder(folder: Path, out: Path) -> list[dict[str, str]]:
         and not path.name.startswith(".")
         and path.resolve() != out.resolve()
     ]
-    clouds.sort(key=lambda path: _in_order(path.name))
+    clouds.sort(key=lambda path: in_order(path.name))
     sources, targets = (_by_name(folder, clouds, end) for end in ENDS)
     for found, others, end in ((sources, targets, ENDS[1]), (targets, sources, ENDS[0])):
         for name in sorted(found.keys() - others.keys()):
@@ -74,7 +74,7 @@ def _ambiguous(folder: Path, message: str) -> dcreg.InputError:
     return dcreg.InputError(f"{folder}: {message}, or list the pairs in {folder / TABLE}")
 
 
-def _in_order(name: str) -> list[tuple[int, str]]:
+def in_order(name: str) -> list[tuple[int, str]]:
     """Return a key that sorts numbers by value: scan2 comes before scan10."""
     return [
         (int(part or 0), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name)

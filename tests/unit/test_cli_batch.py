@@ -236,8 +236,8 @@ def test_a_folder_without_a_table_holds_consecutive_scans(table, solved):
         (str(folder / "10.txt"), str(folder / "2.txt")),
     ]
     with (folder / "out.csv").open(newline="") as stream:
-        found = [(row["source"], row["target_id"]) for row in csv.DictReader(stream)]
-    assert found == [("2.txt", "1"), ("10.txt", "0")]
+        found = [(row["source_id"], row["target_id"]) for row in csv.DictReader(stream)]
+    assert found == [("1", "0"), ("2", "1")]
 
 
 def test_the_table_of_a_folder_names_its_pairs(table, solved):
