@@ -66,8 +66,8 @@ def register(
         The admissible poses: rotations about one axis, limited angles or translations. Default: all.
     weights : PointWeights, optional
         Weights of the points. They replace the squared residual in the objective, the bounds and the
-        covariance by the cost of `PointWeights`. For ``similarity2d``, and for ``rigid3d`` in mode
-        ``full``, with up to 1,200,000 point pairs.
+        covariance by the cost of `PointWeights`. Not in mode ``paper`` in 3D; up to 1,200,000 point
+        pairs.
     attributes : Attributes, optional
         Colours, intensities or other attributes of the points. The objective and the bounds then include
         their differences, see `Attributes`. The limits are those of `weights`.
@@ -146,6 +146,8 @@ def sweep(
     scale_range: tuple[float, float] | None = None,
     candidates: Candidates | None = None,
     pose_range: PoseRange | None = None,
+    weights: PointWeights | None = None,
+    attributes: Attributes | None = None,
     rel_gap: float = DEFAULT_REL_GAP,
     abs_gap: float | None = None,
     tol: float | None = None,
@@ -166,7 +168,7 @@ def sweep(
     n_inliers : sequence of int or float
         Numbers of pairs, in any order; repetitions are ignored. Floats in (0, 1] are fractions of
         ``min(n, m)``. Default: 0.2 to 1.0 in steps of 0.1.
-    model, scale_range, candidates, pose_range
+    model, scale_range, candidates, pose_range, weights, attributes
         As in `dcreg.register`.
     rel_gap, abs_gap : optional
         For every number of pairs, as in `dcreg.register`.
@@ -211,10 +213,14 @@ def sweep(
     counts = list(n_inliers)
     if not counts:
         raise InputError("n_inliers: the list is empty; give at least one count or fraction")
-    first = Problem(source, target, counts[0], model, scale_range, candidates, pose_range)
-    distinct = {problem.n_inliers: problem for problem in map(first.with_n_inliers, counts)}
+    rest = model, scale_range, candidates, pose_range
+    first = Problem(source, target, counts[0], *rest)
+    numbers = sorted({first.with_n_inliers(count).n_inliers for count in counts})
+    # weights that are valid for the fewest pairs are valid for more
+    fewest = Problem(source, target, numbers[0], *rest, weights).with_attributes(attributes)
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
-    return sweep_problems([distinct[k] for k in sorted(distinct)], limits, SolveOptions.of(options))
+    problems = [fewest.with_n_inliers(k) for k in numbers]
+    return sweep_problems(problems, limits, SolveOptions.of(options))
 
 
 def register_matches(

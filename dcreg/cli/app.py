@@ -20,14 +20,13 @@ import dcreg
 from dcreg.cli import output
 from dcreg.cli.interrupts import Interrupt, leave
 from dcreg.cli.numbers import parse_count
-from dcreg.cli.options import ARGUMENTS, Poses, flag, parameters_of
+from dcreg.cli.options import ARGUMENTS, flag, parameters_of
 
 # In the order of the help.
 ORDER = (
     "register", "sweep", "register-matches", "certify", "alternatives", "max-inliers", "batch",
     "verify", "version",
 )  # fmt: skip
-ALL_POSES = "alternatives", "register-matches"
 
 
 class Commands(TyperGroup):
@@ -45,17 +44,33 @@ class Commands(TyperGroup):
 
 
 class OneCommand(TyperCommand):
-    """A command; the searches of all poses say why they lack the options of a range."""
+    """A command that says which other commands have an option that it lacks."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Refuse the options of a range where there are none, before Typer guesses others."""
-        given = [name for arg in args if (name := arg.partition("=")[0]) in Poses.LIMITS.values()]
-        if given and self.name in ALL_POSES:
-            output.print_error(
-                f"{given[0]}: `dcreg {self.name}` searches all poses and has no range; omit {given[0]}"
-            )
-            raise typer.Exit(output.EXIT_INPUT)
+        """Refuse an option of other commands, before Typer guesses a similar one."""
+        own = _options_of(self)
+        for name in (arg.partition("=")[0] for arg in args):
+            owners = [] if name in own else _owners(ctx.parent.command, name)
+            if owners:
+                output.print_error(
+                    f"{name}: not an option of `dcreg {self.name}`; omit {name}, or use "
+                    f"{' or '.join(owners)}"
+                )
+                raise typer.Exit(output.EXIT_INPUT)
         return super().parse_args(ctx, args)
+
+
+def _owners(group: Any, option: str) -> list[str]:
+    """Return the commands that have an option, as they are typed."""
+    commands = {name: group.commands[name] for name in ORDER}
+    has_option = (name for name, each in commands.items() if option in _options_of(each))
+    return [f"`dcreg {name}`" for name in has_option]
+
+
+def _options_of(command: Any) -> set[str]:
+    """Return the names of the options of a command."""
+    options = (each for each in command.params if each.param_type_name == "option")
+    return {name for each in options for name in (*each.opts, *each.secondary_opts)}
 
 
 app = typer.Typer(

@@ -19,38 +19,41 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.files import BatchFiles
+from dcreg.cli.folder import in_order, pairs_of_folder
 from dcreg.cli.interrupts import SIGNALS
 from dcreg.cli.numbers import parse_count_or_auto
-from dcreg.cli.options import Poses, Search
-from dcreg.cli.pair import Row, Task, columns, edge_of, failed
+from dcreg.cli.options import Goal, Poses, Search
+from dcreg.cli.pair import Row, Task, answer_of, columns, edge_of, failed, is_matched
 from dcreg.cli.workers import solve_all
 from dcreg.files import write_text
 from dcreg.names import MODEL_DIM
 
 _FAILED = failed("")["status"]
-_FINISHED = (dcreg.Status.OPTIMAL.value, dcreg.Status.CONVERGED.value)
+_FINISHED = tuple(
+    status.value for status in (dcreg.Status.OPTIMAL, dcreg.Status.CONVERGED, dcreg.Status.REFUTED)
+)
 
 
 @dataclass(frozen=True)
 class Batch:
-    """The pairs of a table and how to solve them.
+    """The pairs of a table or a folder and how to solve them.
 
     Parameters
     ----------
     pairs : Path
         Table with the columns ``source``, ``target`` and, if wanted, ``n_inliers``; files are relative to
-        its folder.
+        its folder. Or a folder, see `dcreg.cli.folder`.
     search : Search
     poses : Poses
-    n_inliers : str
-        For pairs of which the table gives none.
+    goal : Goal
+        Its number is for pairs of which the table gives none.
     drop_invalid : bool
     """
 
     pairs: Path
     search: Search
     poses: Poses
-    n_inliers: str
+    goal: Goal
     drop_invalid: bool
 
     def run(self, files: BatchFiles, jobs: int, quiet: bool) -> int:
@@ -67,11 +70,11 @@ class Batch:
         """
         out, graph = files.out_path, files.graph_path
         self._check(graph, jobs)
-        names = self._names()
+        names = self._pairs_of_folder(out) if self.pairs.is_dir() else self._names()
         tasks = self._tasks(names, 1 if jobs > 1 else None)
         inputs = [str(self.pairs), self.search.candidates_path, self.poses.init]
         files.check(*inputs, *(file for task in tasks for file in (task.source, task.target)))
-        table = _Table(out, columns(self.search.model), _described(names))
+        table = _Table(out, columns(self.search.model), self._described(names))
         content = cache(_content)  # a cloud may be in several pairs
         digests = [self._digest(task, content) for task in tasks]
         todo = [task for task in tasks if not table.take(task.place, digests[task.place])]
@@ -85,7 +88,7 @@ class Batch:
                 if not table.write():
                     return output.EXIT_OUTPUT
                 _report(table, task.place, quiet)
-            return _finish(table, graph)
+            return _finish(table, graph, self.goal.max_rms)
 
     def _check(self, graph: Path | None, jobs: int) -> None:
         """Refuse settings that would fail for every pair."""
@@ -99,6 +102,12 @@ class Batch:
             raise dcreg.InputError(
                 f"--graph {graph}: g2o holds rigid poses only; fix the scale with --scale-range 1 1"
             )
+
+    def _pairs_of_folder(self, out: Path) -> list[Row]:
+        """Return the pairs of a folder without a table."""
+        parse_count_or_auto(self.goal.n_inliers)
+        pairs = pairs_of_folder(self.pairs, out)
+        return [{**pair, "n_inliers": self.goal.n_inliers} for pair in pairs]
 
     def _names(self) -> list[Row]:
         """Read the table of pairs."""
@@ -123,7 +132,7 @@ class Batch:
     def _checked(self, row: Mapping[str, str | None], line: int) -> Row:
         """Return source, target and number of pairs of a line."""
         found = {name: (row.get(name) or "").strip() for name in ("source", "target", "n_inliers")}
-        found["n_inliers"] = found["n_inliers"] or self.n_inliers
+        found["n_inliers"] = found["n_inliers"] or self.goal.n_inliers
         for name, value in found.items():
             if not value:
                 raise dcreg.InputError(f"{self.pairs}: line {line} has no {name}; add it")
@@ -133,9 +142,21 @@ class Batch:
             raise dcreg.InputError(f"{self.pairs}: line {line}: {error}") from None
         return found
 
+    def _described(self, names: list[Row]) -> list[Row]:
+        """Return the first columns of each row; files are numbered in the order of table or folder."""
+        ends = ("source", "target")
+        files = list(dict.fromkeys(Path(row[end]) for row in names for end in ends))
+        if self.pairs.is_dir():
+            files.sort(key=lambda file: in_order(file.name))
+        numbers = {file: str(number) for number, file in enumerate(files)}
+        return [
+            {end: row[end] for end in ends} | {f"{end}_id": numbers[Path(row[end])] for end in ends}
+            for row in names
+        ]
+
     def _tasks(self, names: list[Row], threads: int | None) -> list[Task]:
         """Return the pairs; `threads` is the default of each search."""
-        folder = self.pairs.parent
+        folder = self.pairs if self.pairs.is_dir() else self.pairs.parent
         search = replace(self.search, threads=self.search.threads or threads)
         return [
             Task(
@@ -143,6 +164,7 @@ class Batch:
                 str(folder / row["source"]),
                 str(folder / row["target"]),
                 row["n_inliers"],
+                self.goal.max_rms,
                 search,
                 self.poses,
                 self.drop_invalid,
@@ -158,7 +180,8 @@ class Batch:
         }
         keys = [file.rpartition(":")[2] for file in (task.source, task.target) if ":" in file]
         files = [content(task.source), content(task.target), keys]
-        used = [files, task.n_inliers, options, self.drop_invalid, dcreg.__version__]
+        goal = task.n_inliers, task.max_rms
+        used = [files, *goal, options, self.drop_invalid, dcreg.__version__]
         text = json.dumps(used, default=str)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -169,17 +192,6 @@ def _content(path: str) -> str:
         with suppress(OSError), Path(name).open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     return "missing"
-
-
-def _described(names: list[Row]) -> list[Row]:
-    """Return the first columns of each row; files are numbered in the order of the table."""
-    ends = ("source", "target")
-    files = dict.fromkeys(Path(row[end]) for row in names for end in ends)
-    numbers = {file: str(number) for number, file in enumerate(files)}
-    return [
-        {end: row[end] for end in ends} | {f"{end}_id": numbers[Path(row[end])] for end in ends}
-        for row in names
-    ]
 
 
 class _Table:
@@ -266,10 +278,10 @@ def _report(table: _Table, place: int, quiet: bool) -> None:
         typer.echo(f"{done} {pair}: {row['status']}, RMSE {rmse:.4g}, {row['time_s']} s", err=True)
 
 
-def _finish(table: _Table, graph: Path | None) -> int:
+def _finish(table: _Table, graph: Path | None, max_rms: float | None) -> int:
     """Print the number of pairs by status and write the pose graph; return the exit code."""
     rows = [table.rows[place] for place in sorted(table.rows)]
-    counts = Counter(row["status"] for row in rows)
+    counts = Counter(answer_of(row, max_rms) for row in rows)
     if left := len(table.described) - len(rows):
         counts["not solved"] = left
     shares = ", ".join(f"{count} {status}" for status, count in counts.items())
@@ -278,7 +290,7 @@ def _finish(table: _Table, graph: Path | None) -> int:
         typer.echo("stopped; run the same command again to solve the pairs that are left", err=True)
     if graph is not None:
         try:
-            _write_graph(graph, rows)
+            _write_graph(graph, [row for row in rows if is_matched(row, max_rms)])
         except OSError as error:
             output.print_error(f"cannot write {graph}: {error.strerror or error}")
             return output.EXIT_OUTPUT

@@ -16,7 +16,7 @@ from dcreg.cli.files import BatchFiles, Outputs, SearchFiles
 from dcreg.cli.numbers import parse_count_or_auto, parse_counts
 from dcreg.cli.options import CloudFiles, Goal, MatchSearch, Poses, Quiet, Search
 from dcreg.cli.weights import CostFiles
-from dcreg.names import AUTO, FIGURE_PACKAGES, MAX_RMS_MET, SWEEP_TEXT
+from dcreg.names import FIGURE_PACKAGES, MAX_RMS_MET, SWEEP_TEXT
 
 if TYPE_CHECKING:
     import numpy as np
@@ -126,6 +126,7 @@ def sweep(
     n_inliers: str = SWEEP_TEXT,
     search: Search,
     poses: Poses,
+    costs: CostFiles,
     out_path: Path | None = None,
     plot_path: Path | None = None,
     quiet: Quiet = False,
@@ -154,11 +155,12 @@ def sweep(
     """
     output.check_suffix("--out", out_path, [".json", ".csv"])
     output.check_figure(plot_path, list(FIGURE_PACKAGES))
-    inputs = *clouds.names.values(), search.candidates_path, poses.init
+    inputs = *clouds.names.values(), search.candidates_path, poses.init, *costs.paths
     output.check_outputs({"--out": out_path, "--plot": plot_path}, *inputs)
     counts = parse_counts(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
+    keywords |= costs.settings(clouds)
     keywords["pose_range"], options["init"] = poses.settings()
     found = run_search(dcreg.sweep, *points, counts, quiet=quiet, options=options, **keywords)
     typer.echo(found)
@@ -178,7 +180,7 @@ def sweep(
 def batch(
     *,
     pairs: Path,
-    n_inliers: str = AUTO,
+    goal: Goal,
     search: Search,
     poses: Poses,
     drop_invalid: bool = False,
@@ -186,28 +188,32 @@ def batch(
     jobs: int = 1,
     quiet: Quiet = False,
 ) -> int:
-    """Register each pair of a table and write a table of results.
+    """Register each pair of a table or a folder and write a table of results.
 
     The same command continues after an interruption: pairs with the same files
     and options are not solved again, unless they failed.
 
     Exit code: 0 all finished; 2 bad input, or some pairs failed; 3 some stopped
-    at a limit, or Ctrl-C; 4 an output file could not be written.
+    at a limit or without an answer to --max-rms, or Ctrl-C; 4 an output file
+    could not be written.
 
     Parameters
     ----------
-    pairs : PAIRS.csv
-        Table with the columns source and target, files relative to its folder, and optionally n_inliers.
-    n_inliers : K
-        Pairs to match if the table gives no number, as for `dcreg register`.
+    pairs : PAIRS
+        Table (.csv) with the columns source and target, files relative to its folder, and optionally
+        n_inliers, which replaces --n-inliers. Or a folder: its pairs.csv if there is one, else its files
+        NAME_source and NAME_target, else each file with the one before it.
     drop_invalid : switch
         Ignore points with NaN or infinity.
     jobs : N
         Number of processes.
     """
     from dcreg.cli.batch import Batch
+    from dcreg.cli.folder import TABLE
 
-    return Batch(pairs, search, poses, n_inliers, drop_invalid).run(files, jobs, quiet)
+    table = pairs / TABLE
+    pairs = table if table.is_file() else pairs
+    return Batch(pairs, search, poses, goal, drop_invalid).run(files, jobs, quiet)
 
 
 @command

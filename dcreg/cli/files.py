@@ -20,7 +20,7 @@ class Files:
 
 
 @dataclass
-class AnswerFiles:
+class AnswerFiles(Files):
     """The files of the answer to a question.
 
     Attributes
@@ -36,7 +36,7 @@ class AnswerFiles:
 
     def check(self, *inputs: str | None) -> None:
         """Refuse before the search what could not be written."""
-        output.check_outputs({"--json": self.json_path, "--plot": self.plot_path}, *inputs)
+        output.check_outputs(self.paths, *inputs)
         output.check_figure(self.plot_path, [".html"])
 
 
@@ -77,6 +77,11 @@ class SearchFiles(Files):
 
     certificate_path: Path | None = None
     checkpoint_path: Path | None = None
+
+
+@dataclass
+class ProofFiles(SearchFiles, AnswerFiles):
+    """The files of the answer to a question and of its search."""
 
 
 @dataclass

@@ -59,7 +59,9 @@ def flag(name: str) -> str:
 
 def parameters_of(owner: Any) -> Iterator[inspect.Parameter]:
     """Yield the parameters of a command or a group, annotated for Typer; a group gives its fields."""
-    entries = re.findall(r"^(\w+) : (.*)((?:\n    .*)+)", inspect.getdoc(owner) or "", re.M)
+    owners = reversed(inspect.getmro(owner)) if inspect.isclass(owner) else [owner]
+    text = "\n\n".join(inspect.getdoc(each) or "" for each in owners)
+    entries = re.findall(r"^(\w+) : (.*)((?:\n    .*)+)", text, re.M)
     described = {name: (metavar, " ".join(text.split())) for name, metavar, text in entries}
     kinds: dict[str, Any] = get_type_hints(owner, include_extras=True)
     for each in inspect.signature(owner).parameters.values():

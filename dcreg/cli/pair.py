@@ -15,7 +15,11 @@ from dcreg.names import MODEL_DIM
 
 # The text of each column of a table of results.
 Row = dict[str, str]
-_OPTIONS = {"n_inliers", *(each.name for group in (Search, Poses) for each in fields(group))}
+_OPTIONS = {
+    "n_inliers",
+    "max_rms",
+    *(each.name for group in (Search, Poses) for each in fields(group)),
+}
 _NUMBERS = ("n_inliers", "objective", "rmse_matched", "lower_bound", "upper_bound")
 
 
@@ -31,6 +35,7 @@ class Task:
         Files of points.
     n_inliers : str
         As on the command line.
+    max_rms : float, optional
     search : Search
     poses : Poses
     drop_invalid : bool
@@ -40,6 +45,7 @@ class Task:
     source: str
     target: str
     n_inliers: str
+    max_rms: float | None
     search: Search
     poses: Poses
     drop_invalid: bool
@@ -75,11 +81,24 @@ def failed(message: str) -> Row:
     return {"status": dcreg.Status.FAILED.value, "error": " ".join(message.split())}
 
 
+def is_matched(row: Row, max_rms: float | None) -> bool:
+    """Tell whether a row has a pose whose RMS residual is at most `max_rms`, if that is given."""
+    if row["status"] == dcreg.Status.FAILED.value:
+        return False
+    return max_rms is None or float(row["rmse_matched"]) <= max_rms
+
+
+def answer_of(row: Row, max_rms: float | None) -> str:
+    """Return the status of a row, or ``open`` if its search ended without an answer to `max_rms`."""
+    is_open = row["status"] == dcreg.Status.CONVERGED.value and not is_matched(row, max_rms)
+    return "open" if is_open else row["status"]
+
+
 def _solved(task: Task) -> Row:
     clouds = CloudFiles(task.source, task.target, drop_invalid=task.drop_invalid)
     points = clouds.read(task.search.model)
     keywords, options = task.search.settings(clouds)
-    keywords["n_inliers"] = parse_count_or_auto(task.n_inliers)
+    keywords |= {"n_inliers": parse_count_or_auto(task.n_inliers), "max_rms": task.max_rms}
     keywords["pose_range"], options["init"] = task.poses.settings()
     result = dcreg.register(*points, **keywords, options=dcreg.SolveOptions(**options))
     return {

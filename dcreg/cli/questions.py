@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -11,8 +12,9 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.app import command, required_count, run_search
-from dcreg.cli.files import AnswerFiles
+from dcreg.cli.files import AnswerFiles, ProofFiles
 from dcreg.cli.options import CloudFiles, Poses, Quiet, Search
+from dcreg.cli.weights import CostFiles
 from dcreg.names import DEFAULT_RATIO, DEFAULT_TIME_LIMIT_S
 
 if TYPE_CHECKING:
@@ -27,7 +29,8 @@ def certify(
     n_inliers: str | None = None,
     search: Search,
     poses: Poses,
-    files: AnswerFiles,
+    costs: CostFiles,
+    files: ProofFiles,
     quiet: Quiet = False,
 ) -> int:
     """Judge a given POSE, from any program, as optimal, improvable or open.
@@ -46,19 +49,22 @@ def certify(
     n_inliers : K
         Pairs to match, as for `dcreg register`. Required.
     """
-    files.check(*clouds.names.values(), search.candidates_path, poses.init, pose)
+    files.check(*clouds.names.values(), search.candidates_path, poses.init, pose, *costs.paths)
     names = {**clouds.names, "pose": pose}
     count, T = required_count(n_inliers), dcreg.read_pose(pose)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
-    keywords["n_inliers"] = count
+    keywords |= {"n_inliers": count, **costs.settings(clouds)}
+    options["certificate"] = files.certificate_path is not None
+    options["checkpoint"] = files.checkpoint_path
     keywords["pose_range"], init = poses.settings()
     if keywords["pose_range"] is None:
         options["init"] = init
     found = run_search(dcreg.certify, *points, T, quiet=quiet, options=options, **keywords)
     codes = {"optimal": output.EXIT_OK, "improvable": output.EXIT_REFUTED}
     code = codes.get(found.verdict, output.EXIT_LIMIT)
-    return _finish(found, points, clouds, names, files) or code
+    proof = files.certificate_path, found.result.write_certificate
+    return _finish(found, points, clouds, names, files, proof) or code
 
 
 @command
@@ -172,6 +178,7 @@ def _finish(
     clouds: CloudFiles,
     names: dict[str, str],
     files: AnswerFiles,
+    *more_files: tuple[Path | None, output.Writer],
 ) -> int:
     """Print an answer and write its files; return 0, or the exit code of a failure."""
     json_path, plot_path = files.json_path, files.plot_path
@@ -187,4 +194,5 @@ def _finish(
         dcreg.Status.OPTIMAL,
         (json_path, partial(in_files.write_json, **more)),
         (plot_path, lambda path: dcreg.plot_answer(*points, found, path, names=shown)),
+        *more_files,
     )

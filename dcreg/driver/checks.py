@@ -52,7 +52,7 @@ def check_mode(
                 "pose_range"
             )
     if problem.weights is not None:
-        _check_weights(mode, problem, {"certificate": certificate, "max_rms": has_max_rms})
+        _check_weights(mode, problem, bound, {"certificate": certificate, "max_rms": has_max_rms})
     n, m = len(problem.source), len(problem.target)
     if n * m > MAX_PAIRS and not is_matrix_free(mode, problem, bound):
         remedy = "downsample both clouds first (downsample=200, or --downsample 200)"
@@ -61,7 +61,9 @@ def check_mode(
         raise InputError(f"source, target: {n} x {m} pairs exceed {MAX_PAIRS:,}; {remedy}")
 
 
-def _check_weights(mode: Mode, problem: Problem, others: dict[str, bool]) -> None:
+def _check_weights(
+    mode: Mode, problem: Problem, bound: str | None, others: dict[str, bool]
+) -> None:
     """Refuse weights or attributes with a mode, a range or other settings that would ignore them."""
     assert problem.weights is not None
     own = problem.weights.name
@@ -70,8 +72,7 @@ def _check_weights(mode: Mode, problem: Problem, others: dict[str, bool]) -> Non
         raise InputError(f"{name}: cannot be combined with {own}; omit {name} or {own}")
     if not mode.takes_weights:
         raise InputError(
-            f"{own}: not supported by {problem.model} in mode {mode.name!r}; use similarity2d, or "
-            "rigid3d in mode 'full' without bound"
+            f"{own}: not supported by {problem.model} in mode {mode.name!r}; {_use_full(bound)}"
         )
 
 

@@ -198,7 +198,7 @@ class Setup:
         source, target, k = problem.source, problem.target, problem.n_inliers
         given = self.problems[at].n_inliers
         rounding = rounding_error(source, target, k)
-        tolerance = self.limits.tolerance(given, rounding, _exact_value(problem), k / given)
+        tolerance = self.limits.tolerance(given, rounding, exact_value(problem), k / given)
         return NormalisedProblem(
             frame.source(source), frame.target(target), k, problem.scale_range, problem.candidates,
             frame, options.bound or mode.own_bound, options.start_box == START_BOXES[0],
@@ -278,7 +278,7 @@ class Finish:
     def _exact(self, result: Result) -> Result:
         """Return an exact fit as optimal on all points: 0 is a lower bound of every sum of squares."""
         problem = self.setup.problems[self.at]
-        exact, value = _exact_value(problem), result.objective
+        exact, value = exact_value(problem), result.objective
         is_decided = result.success or result.status is Status.REFUTED
         if value > exact or is_decided or result.certificate is not None:
             return result
@@ -378,7 +378,7 @@ def _scope(problem: Problem, what: str, *, is_sample: bool) -> str:
     return what + where + (problem.weights.scope if problem.weights else "")
 
 
-def _exact_value(problem: Problem) -> float:
+def exact_value(problem: Problem) -> float:
     """Return the objective up to which a fit is exact, also that of the lightest pairs."""
     lightest = 1.0 if problem.weights is None else float(problem.weights.factors.min())
     return lightest * exact_objective(problem.source, problem.target, problem.n_inliers)
@@ -396,5 +396,5 @@ def _region(problem: Problem, frame: Frame) -> Any:
 def _special(problem: Problem) -> tuple[bool, bool, bool, bool]:
     """Return `restricted`, `many`, `large` and `whole` of `warm_up_mode` for a problem."""
     restricted, n, m = problem.candidates is not None, len(problem.source), len(problem.target)
-    whole = problem.model == "similarity3d" and problem.n_inliers == n == m
+    whole = problem.model == "similarity3d" and problem.n_inliers == n == m and not problem.weights
     return restricted, n * m > FEW_PAIRS, not restricted and is_large(n, m), whole

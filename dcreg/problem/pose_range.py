@@ -263,7 +263,9 @@ def _checked_axis(axis: Any, d: int) -> np.ndarray | None:
     if axis is None:
         return None
     if d != 3:
-        raise InputError("axis: only rigid3d has one; in 2D every rotation is about the same axis")
+        raise InputError(
+            "axis: only rigid3d has one; omit axis, as all rotations in 2D have the same"
+        )
     vector = _vector("axis", axis, d)
     length = float(np.linalg.norm(vector))
     if not length > 0.0:

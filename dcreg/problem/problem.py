@@ -165,8 +165,8 @@ class Problem:
                 )
             if model == "similarity3d":
                 raise InputError(
-                    "pose_range: similarity3d searches all poses; omit limits and axis, or rescale one "
-                    "cloud and use model rigid3d"
+                    "pose_range: not supported by similarity3d; omit pose_range, or rescale one cloud "
+                    "and use model rigid3d"
                 )
             pose_range = pose_range.checked(source, scale_range)
         if not isinstance(weights, PointWeights | None):

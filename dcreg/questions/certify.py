@@ -5,30 +5,33 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dcreg import text
 from dcreg.answer import Answer
-from dcreg.assignment.objective import is_large, objective
+from dcreg.assignment.objective import is_large, objective, weighted_objective
 from dcreg.driver.options import Limits, SolveOptions
-from dcreg.driver.solve import register_problem
+from dcreg.driver.solve import exact_value, register_problem
 from dcreg.files import plain
 from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S
 from dcreg.problem import (
     Candidates,
     InputError,
     Moments,
+    PointWeights,
     PoseRange,
     Problem,
     angle_between_deg,
     checked_pose,
-    exact_objective,
     rounding_error,
     scale_of,
 )
 from dcreg.result import Result
+
+if TYPE_CHECKING:
+    from dcreg.problem.attributes import Attributes
 
 # Verdicts on a pose.
 OPTIMAL, IMPROVABLE, OPEN = "optimal", "improvable", "open"
@@ -50,7 +53,8 @@ class Certified(Answer):
     T_target_source : (d+1, d+1) array
         The given pose; if its last digits make it inadmissible, the nearest admissible one.
     objective : float
-        Its sum of squared residuals over the cheapest `n_inliers` pairs, in squared units of the target.
+        Its sum of squared residuals over the cheapest `n_inliers` pairs, in squared units of the target;
+        with weights or attributes, the sum of the costs of pairs.
     lower_bound : float
         No pose has a lower objective.
     gap_tol : float
@@ -102,11 +106,10 @@ class Certified(Answer):
         """Yield names and values of the summary."""
         k = self.result.n_inliers
         yield "given pose", self.answer
-        rms = np.sqrt(self.objective / k)
-        yield (
-            "objective",
-            f"{self.objective:.6g} (RMS residual {rms:.6g} over {text.count(k, 'pair')})",
-        )
+        pairs, rms = text.count(k, "pair"), np.sqrt(self.objective / k)
+        # with attributes, the objective is more than residuals
+        about = f"RMS residual {rms:.6g} over " if self.result.attribute_cost is None else ""
+        yield "objective", f"{self.objective:.6g} ({about}{pairs})"
         share = self.max_improvement / self.objective if self.objective > 0.0 else 0.0
         meaning = f"no pose lowers the objective by more than {_percent_above(share)}"
         if share == 1.0:
@@ -140,6 +143,8 @@ def certify(
     scale_range: tuple[float, float] | None = None,
     candidates: Candidates | None = None,
     pose_range: PoseRange | None = None,
+    weights: PointWeights | None = None,
+    attributes: Attributes | None = None,
     rel_gap: float = DEFAULT_REL_GAP,
     abs_gap: float | None = None,
     tol: float | None = None,
@@ -152,7 +157,7 @@ def certify(
 
     Parameters
     ----------
-    source, target, n_inliers, model, scale_range, candidates, pose_range
+    source, target, n_inliers, model, scale_range, candidates, pose_range, weights, attributes
         As in `dcreg.register`.
     pose : (d+1, d+1) array
         From source to target.
@@ -179,7 +184,8 @@ def certify(
     >>> dcreg.certify(points, points + 3.0, pose, n_inliers=20, model="similarity2d").verdict
     'optimal'
     """
-    problem = Problem(source, target, n_inliers, model, scale_range, candidates, pose_range)
+    given = model, scale_range, candidates, pose_range, weights
+    problem = Problem(source, target, n_inliers, *given).with_attributes(attributes)
     chosen = SolveOptions.of(options)
     if chosen.init is not None:
         raise InputError(
@@ -187,11 +193,19 @@ def certify(
             "around it (PoseRange(around=...), or --init with --max-angle)"
         )
     T = _admissible(checked_pose("pose", pose, problem.dim, has_scale=problem.has_scale), problem)
-    clouds, k = (problem.source, problem.target), problem.n_inliers
-    value, _ = objective(*clouds, T, k, problem.candidates, prove=not is_large(*map(len, clouds)))
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
+    value = _objective(problem, T)
     result = register_problem(problem, limits, replace(chosen, init=T))
     return _judged(problem, T, value, result, limits)
+
+
+def _objective(problem: Problem, T: np.ndarray) -> float:
+    """Return the cost of the cheapest pairs at a pose."""
+    if problem.weights is not None:
+        return weighted_objective(problem, T)[0]
+    clouds, k = (problem.source, problem.target), problem.n_inliers
+    is_small = not is_large(*map(len, clouds))
+    return objective(*clouds, T, k, problem.candidates, prove=is_small)[0]
 
 
 def _admissible(T: np.ndarray, problem: Problem) -> np.ndarray:
@@ -231,7 +245,7 @@ def _judged(
     best = result.T_target_source
     # the bounds of a sample do not refer to all points
     lower_bound = 0.0 if result.downsampled is not None else min(result.lower_bound, value)
-    exact = exact_objective(source, target, k)
+    exact = exact_value(problem)
     allowed = limits.tolerance(k, rounding_error(source, target, k), exact).allowed(value)
     verdict = OPEN
     # a lower bound of 0 holds for every sum of squares

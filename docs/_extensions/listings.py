@@ -58,28 +58,10 @@ def modes() -> str:
 
 
 def questions() -> str:
-    """Which questions each mode answers, from the fields of the modes."""
-    from dcreg.families.mode import all_modes
+    """Which questions work with which mode and option."""
+    from combinations import tables
 
-    asked = {
-        "`register`, `sweep`, `candidates`": lambda mode: True,
-        "`certify`, `init`, `max_rms`, `max_inliers`": lambda mode: not mode.in_norm_space,
-        "a number of pairs chosen by the library": lambda mode: not mode.in_norm_space,
-        "`alternatives`, `max_angle`, `max_translation`": lambda mode: bool(mode.in_region),
-        "`axis`": lambda mode: bool(mode.in_region) and mode.model != "similarity2d",
-        "certificate file": lambda mode: bool(mode.certifies),
-        "`weights`, `attributes` (only `register`)": lambda mode: mode.takes_weights,
-        "covariance, `downsample`, `batch`": lambda mode: True,
-    }
-    modes = all_modes()
-    head = ("question or option", *(f"`{mode.model}`, mode `{mode.name}`" for mode in modes))
-    return table(
-        head,
-        (
-            (name, *("yes" if works(mode) else "" for mode in modes))
-            for name, works in asked.items()
-        ),
-    )
+    return tables()
 
 
 def cards(folder: str) -> list[dict]:

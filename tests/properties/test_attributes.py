@@ -45,7 +45,7 @@ def attribute_costs(attributes):
     return attributes.scale**2 * ((a[:, None] - b[None]) ** 2).sum(axis=-1)
 
 
-def optimum(x, y, k, extra, factors=None, allowed=None):
+def optimum(x, y, k, extra, factors=None, allowed=None, scale_range=None):
     """Minimum over all matchings, each with its closed-form pose."""
     dim = x.shape[1]
     rows, columns = every_matching(len(x), len(y), k)
@@ -53,7 +53,7 @@ def optimum(x, y, k, extra, factors=None, allowed=None):
         kept = allowed[rows, columns].all(axis=1)
         rows, columns = rows[kept], columns[kept]
     weights = np.ones(rows.shape) if factors is None else factors[rows, columns]
-    poses = fit_pose(x[rows], y[columns], SCALES[dim], weights)
+    poses = fit_pose(x[rows], y[columns], scale_range or SCALES[dim], weights)
     moved = x[rows] @ poses[:, :dim, :dim].swapaxes(1, 2) + poses[:, None, :dim, dim]
     squares = ((moved - y[columns]) ** 2).sum(axis=-1)
     return float((weights * squares + extra[rows, columns]).sum(axis=1).min())
@@ -119,6 +119,26 @@ def test_the_optimum_is_that_of_all_matchings(seed, dim):
     rms = np.sqrt(((moved[rows] - y[columns]) ** 2).sum(axis=1).mean())
     assert found.rmse_matched == pytest.approx(rms, abs=1e-6)
     assert f"{found.attribute_cost:.6g} of the objective" in str(found)
+
+
+def test_the_similarity_in_3d_is_that_of_all_matchings():
+    """All points match: without attributes, the best matching would not depend on the scale."""
+    generator = np.random.default_rng(0)
+    x, y = (points - points.mean(axis=0) for points in generator.standard_normal((2, 4, 3)))
+    attributes = Attributes(generator.random(4), generator.random(4), 2.0)
+    best = optimum(x, y, 4, attribute_costs(attributes), scale_range=(0.8, 1.2))
+    found = register(
+        x, y, n_inliers=4, model="similarity3d", scale_range=(0.8, 1.2), attributes=attributes,
+        rel_gap=0.0, abs_gap=0.4 * best, prove=True, time_limit=20,
+    )  # fmt: skip
+    assert is_certified(found, best, found.gap_tol)
+    assert found.objective == pytest.approx(best)
+    judged = dcreg.certify(
+        x, y, found.T_target_source, n_inliers=4, model="similarity3d", attributes=attributes,
+        scale_range=(0.8, 1.2), abs_gap=0.4 * best,
+    )  # fmt: skip
+    assert judged.objective == pytest.approx(best)
+    assert "RMS residual" not in dict(judged.entries())["objective"]
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -241,7 +261,6 @@ def test_bad_attributes_are_refused(attributes, message):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"model": "similarity3d"}, "attributes: not supported by similarity3d in mode 'full'"),
         ({"mode": "paper"}, "attributes: not supported by rigid3d in mode 'paper'"),
         ({"certificate": True}, "certificate: cannot be combined with attributes; omit"),
         ({"max_rms": 0.1}, "max_rms: cannot be combined with attributes"),

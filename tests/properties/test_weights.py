@@ -13,6 +13,8 @@ from dcreg.families.registry import make_bound
 from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.similarity2d.space import Similarity2D
+from dcreg.families.similarity3d.bound import SimilarityBound
+from dcreg.families.similarity3d.space import SCALE, Similarity3D
 from dcreg.names import BOUND_NAMES
 from dcreg.problem import InputError, PointWeights, apply_pose, pose_covariance
 from dcreg.problem.geometry import fit_pose
@@ -21,11 +23,13 @@ from tests.oracles import kernels as reference
 from tests.oracles.matchings import every_matching
 from tests.problems import SEEDS, lower_bound, register
 from tests.properties.test_rigid_bounds import box_about, centred
+from tests.properties.test_similarity3d_bounds import box_in_range
 from tests.searches import is_certified
 
 POINTS = np.random.default_rng(2).random((6, 2))
 SCALES = {2: (0.5, 1.5), 3: (1.0, 1.0)}
 MODELS = {2: "similarity2d", 3: "rigid3d"}
+SCALE_RANGES = st.sampled_from([(0.5, 1.5), (1.0, 1.0), (0.9, 1.1), (0.2, 0.4)])
 
 
 def weighted_problem(seed, dim, most=6, whole=False):
@@ -52,11 +56,12 @@ def costs_of(x, y, weights, T):
     return factors * squares + (1.0 - factors) * (weights.distance or 0.0) ** 2
 
 
-def true_optimum(x, y, k, weights, dim):
+def true_optimum(x, y, k, weights, scale_range):
     """Minimum over all matchings, each with its closed-form pose."""
+    dim = x.shape[1]
     rows, columns = every_matching(len(x), len(y), k)
     factors = weights.of_pairs(len(x), len(y), k).factors[rows, columns]
-    poses = fit_pose(x[rows], y[columns], SCALES[dim], factors)
+    poses = fit_pose(x[rows], y[columns], scale_range, factors)
     moved = x[rows] @ poses[:, :dim, :dim].swapaxes(1, 2) + poses[:, None, :dim, dim]
     squares = ((moved - y[columns]) ** 2).sum(axis=-1)
     extra = (1.0 - factors) * (weights.distance or 0.0) ** 2
@@ -139,6 +144,34 @@ def test_rigid_bound_at_a_pose_is_the_objective_of_weighted_points(seed):
     assert bound == pytest.approx(true, abs=1e-7)
 
 
+@given(
+    SEEDS,
+    SCALE_RANGES,
+    st.sampled_from([1.0, 0.3, 0.1, 0.01, 0.0]),
+    st.sampled_from([0.5, 0.95, 1.0, 1.5, 10.0]),
+)
+@settings(max_examples=100)
+def test_similarity_bound_holds_for_weighted_points(seed, scale_range, size, tightness):
+    """It is below the cost of every matching at its best pose, wherever in the box that is."""
+    x, y, k, weights = weighted_problem(seed, 3, whole=bool(seed % 2))
+    x, y, generator = centred(x), centred(y), np.random.default_rng(seed + 1)
+    space = Similarity3D(x, y, k, scale_range)
+    if pairs := weights.of_pairs(len(x), len(y), k):
+        space = space.weighted(pairs)
+    rows, columns = every_matching(len(x), len(y), k)
+    at = generator.integers(len(rows))
+    col_of = np.full(len(x), -1)
+    col_of[rows[at]] = columns[at]
+    theta = space.normalised(space.fit_matching(np.empty(0), col_of))
+    for end in scale_range:  # which rounding must not exclude from the box
+        theta[SCALE] = end if np.isclose(theta[SCALE], end) else theta[SCALE]
+    costs = costs_of(x, y, weights, space.pose(theta))
+    best = costs[rows[at], columns[at]].sum()
+    assert space.objective(theta)[0] == pytest.approx(reference.k_assignment(costs, k), abs=1e-9)
+    box = box_in_range(theta, generator, size, scale_range, space.only_rotates)
+    assert 0.0 <= lower_bound(SimilarityBound(space), box, tightness * best + 1e-12) <= best + 1e-9
+
+
 @given(SEEDS)
 @settings(max_examples=40)
 def test_start_boxes_contain_the_weighted_optima(seed):
@@ -172,7 +205,7 @@ def test_means_with_weights_do_not_exceed_their_bound(seed, lightest):
 @pytest.mark.parametrize("seed", [2, 3, 4, 7])
 def test_the_weighted_optimum_is_found(seed, whole, dim):
     x, y, k, weights = weighted_problem(seed, dim, most=6 if dim == 3 else 7, whole=whole)
-    optimum = true_optimum(x, y, k, weights, dim)
+    optimum = true_optimum(x, y, k, weights, SCALES[dim])
     gap = {2: 0.05, 3: 0.5}[dim] * optimum
     found = register(
         x, y, n_inliers=k, model=MODELS[dim], weights=weights, rel_gap=0.0, abs_gap=gap, prove=True
@@ -183,6 +216,65 @@ def test_the_weighted_optimum_is_found(seed, whole, dim):
     costs = costs_of(x, y, weights, found.T_target_source)
     rows, columns = found.assignment.T
     assert found.objective == pytest.approx(costs[rows, columns].sum())
+
+
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("seed", [2, 4, 11])
+def test_the_weighted_similarity_is_found(seed, whole):
+    x, y, k, weights = weighted_problem(seed, 3, most=5, whole=whole)
+    optimum = true_optimum(x, y, k, weights, (0.8, 1.2))
+    found = register(
+        x, y, n_inliers=k, model="similarity3d", scale_range=(0.8, 1.2), weights=weights,
+        rel_gap=0.0, abs_gap=0.5 * optimum, prove=True,
+    )  # fmt: skip
+    assert is_certified(found, optimum, found.gap_tol)
+    assert found.certificate_scope == "similarity pose, weighted points"
+    assert optimum - 1e-9 <= found.objective <= found.objective_certified + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_sweep_encloses_the_weighted_optima(seed):
+    generator = np.random.default_rng(seed)
+    x, y = generator.standard_normal((5, 2)), generator.standard_normal((4, 2))
+    weights = PointWeights(source=generator.uniform(0.2, 3.0, 5), distance=1.0)
+    numbers = [4, 2, 3]  # the bounds of 2 hold for more
+    found = dcreg.sweep(x, y, numbers, model="similarity2d", weights=weights, rel_gap=0.05)
+    for result in found.results:
+        optimum = true_optimum(x, y, result.n_inliers, weights, SCALES[2])
+        assert result.lower_bound - 1e-9 <= optimum <= result.upper_bound + 1e-9
+        assert result.certificate_scope == "similarity pose, weighted points"
+
+
+def test_a_sweep_needs_a_distance_for_its_smallest_number():
+    weights = PointWeights(np.arange(1.0, 7.0))
+    with pytest.raises(InputError, match=r"n_inliers=4 of 6 source .* give distance"):
+        dcreg.sweep(POINTS, POINTS, [6, 4], model="similarity2d", weights=weights)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_certify_judges_by_weighted_costs(dim):
+    """The best pose without weights is optimal only without them."""
+    generator = np.random.default_rng(dim)
+    x = generator.standard_normal((5, dim))
+    y = x + 0.1 * generator.standard_normal((5, dim))
+    y[[1, 3]] += 0.3  # the light points
+    weights = PointWeights(source=np.array([1.0, 0.05, 1.0, 0.05, 1.0]))
+    gap = {2: 0.01, 3: 0.3}[dim]
+    optimum = true_optimum(x, y, 5, weights, SCALES[dim])
+    plain, best = (
+        register(x, y, n_inliers=5, model=MODELS[dim], weights=given, rel_gap=gap, prove=True)
+        for given in (None, weights)
+    )
+    for pose, verdict in ((best.T_target_source, "optimal"), (plain.T_target_source, "improvable")):
+        found = dcreg.certify(
+            x, y, pose, n_inliers=5, model=MODELS[dim], weights=weights, rel_gap=gap,
+            options=dcreg.SolveOptions(prove=True),
+        )  # fmt: skip
+        costs = costs_of(x, y, weights, pose)
+        assert found.verdict == verdict
+        assert found.objective == pytest.approx(reference.k_assignment(costs, 5))
+        assert found.lower_bound <= optimum + 1e-9
+    assert "RMS residual" in str(found)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -276,14 +368,13 @@ def test_bad_weights_are_refused(weights, message):
     ("settings", "message"),
     [
         (
-            {"model": "similarity3d"},
-            "weights: not supported by similarity3d in mode 'full'; use similarity2d",
+            {"model": "rigid3d", "mode": "paper"},
+            "weights: not supported by rigid3d in mode 'paper'; use mode 'full'$",
         ),
         (
-            {"model": "rigid3d", "mode": "paper"},
-            "weights: not supported by rigid3d in mode 'paper'",
+            {"model": "rigid3d", "bound": "dc"},
+            "weights: not supported by rigid3d in mode 'paper'; use mode 'full' and omit bound$",
         ),
-        ({"model": "rigid3d", "bound": "dc"}, "weights: not supported by rigid3d in mode 'paper'"),
         ({"model": "rigid3d", "certificate": True}, "certificate: cannot be combined with weights"),
         ({"model": "rigid3d", "max_rms": 0.1}, "max_rms: cannot be combined with weights"),
         ({"model": "rigid3d", "downsample": 4}, "downsample: weights would not be used"),

@@ -167,7 +167,7 @@ class Ends:
 def test_a_crash_costs_only_its_pair(table):
     search = Search(model="rigid3d")
     files = [str(table.parent / f"{i}.txt") for i in range(2)]
-    good = Task(2, *files, "5", search, Poses(), drop_invalid=False)
+    good = Task(2, *files, "5", None, search, Poses(), drop_invalid=False)
     tasks = [Ends(os._exit, (7,)), Ends(signal.raise_signal, (signal.SIGKILL,)), good]
     found = [row for _, row in solve_all(tasks, 1, lambda: False)]
     assert found[0]["error"] == "the process ended with code 7"
@@ -195,6 +195,90 @@ def test_poses_without_a_covariance_are_named(table, tmp_path, solved):
     assert outcome.exit_code == 0
     assert outcome.stderr.count("the information matrix of its edge is the identity") == 2
     assert "warning: 0.txt 1.txt: the covariance is missing" in outcome.stderr
+
+
+# --- residuals and folders --------------------------------------------------------------------------
+
+
+def test_pairs_above_a_residual_are_refuted_and_have_no_edge(table, tmp_path):
+    noise = np.random.default_rng(5).random((10, 3))
+    np.savetxt(table.parent / "other.txt", noise)
+    write(tmp_path, "source,target\n0.txt,1.txt\n0.txt,other.txt\n")
+    outcome = call(table, "--max-rms", "0.01", "--graph", tmp_path / "o.g2o", "--quiet")
+    assert outcome.exit_code == 0, outcome.output
+    assert [row["status"] for row in rows(table)] == ["converged", "refuted"]
+    assert (tmp_path / "o.g2o").read_text().count("EDGE") == 1
+
+
+def test_a_pair_without_an_answer_about_a_residual_is_open(table, tmp_path, solved):
+    outcome = call(table, "--max-rms", "0.1", "--graph", tmp_path / "o.g2o")
+    assert (outcome.exit_code, outcome.stdout) == (3, "2 pairs: 2 open\n")
+    assert "EDGE" not in (tmp_path / "o.g2o").read_text()
+    assert call(table, "--max-rms", "0.6").exit_code == 0
+    assert len(solved) == 4
+
+
+def folder_call(folder, *options):
+    named = "--out", folder / "out.csv", "--model", "rigid3d", "--n-inliers", "0.9"
+    return run("batch", folder, *named, *options)
+
+
+def test_a_folder_without_a_table_holds_consecutive_scans(table, solved):
+    folder = table.parent
+    table.unlink()
+    (folder / "0.txt").rename(folder / "10.txt")
+    (folder / "notes.md").write_text("no points")
+    for _ in range(2):  # the second call continues: the table of results is no cloud
+        outcome = folder_call(folder, "--graph", folder / "out.g2o")
+        assert outcome.exit_code == 0, outcome.output
+    assert [(task.source, task.target) for task in solved] == [
+        (str(folder / "2.txt"), str(folder / "1.txt")),
+        (str(folder / "10.txt"), str(folder / "2.txt")),
+    ]
+    with (folder / "out.csv").open(newline="") as stream:
+        found = [(row["source_id"], row["target_id"]) for row in csv.DictReader(stream)]
+    assert found == [("1", "0"), ("2", "1")]
+
+
+def test_the_table_of_a_folder_names_its_pairs(table, solved):
+    assert folder_call(table.parent).exit_code == 0
+    assert [task.n_inliers for task in solved] == ["0.9", "8"]
+
+
+def test_a_folder_can_hold_named_pairs(tmp_path, solved):
+    for name in ("b_source.ply", "b_target.txt", "a2_source.npy", "a2_target.npy", "b_pose.txt"):
+        (tmp_path / name).write_text("")
+    assert folder_call(tmp_path).exit_code == 0
+    assert [tuple(task.source.rpartition("/")[::2]) for task in solved] == [
+        (str(tmp_path), "a2_source.npy"),
+        (str(tmp_path), "b_source.ply"),
+    ]
+    assert [task.target.rpartition("/")[2] for task in solved] == ["a2_target.npy", "b_target.txt"]
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (
+            [],
+            "contains 0 point files, but a pair needs two; give another folder or a table of pairs",
+        ),
+        (["a.txt", "a.png", ".b.txt"], "contains 1 point files"),
+        (["a_source.txt", "b.txt"], "a_source.txt has no counterpart a_target; add it, or list"),
+        (["a_target.txt", "b.txt"], "a_target.txt has no counterpart a_source; add it, or list"),
+        (
+            ["a_source.txt", "a_source.ply", "a_target.ply"],
+            "are both a_source; keep one, or list the pairs in",
+        ),
+    ],
+)
+def test_a_folder_without_pairs_is_refused(tmp_path, solved, names, words):
+    for name in names:
+        (tmp_path / name).write_text("")
+    outcome = folder_call(tmp_path)
+    assert outcome.exit_code == 2
+    assert words in outcome.stderr
+    assert not solved
 
 
 # --- resuming ---------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from dcreg.io import READERS
 from dcreg.io.mesh import pcd_layout, pcd_records, ply_layout, ply_records
 from dcreg.io.moved import PLAIN
 from dcreg.io.text import with_fields
-from dcreg.names import CLOUD_SUFFIXES
+from dcreg.names import CLOUD_SUFFIXES, READ_SUFFIXES
 
 POINTS = np.array([[0.5, -1.0, 2.0], [3.25, 4.0, -5.5], [1e-3, 0.0, 7.0], [8.0, 9.0, 10.0]])
 # A quarter turn about z, then a shift.
@@ -275,7 +275,7 @@ def test_other_arrays_of_an_archive_stay(tmp_path):
 
 
 def test_every_suffix_has_a_writer():
-    assert set(CLOUD_SUFFIXES) == set(PLAIN) <= set(READERS)
+    assert set(CLOUD_SUFFIXES) == set(PLAIN) <= set(READERS) == set(READ_SUFFIXES)
 
 
 @pytest.mark.parametrize("suffix", CLOUD_SUFFIXES)

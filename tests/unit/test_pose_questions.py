@@ -4,6 +4,7 @@ import json
 import re
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -494,6 +495,32 @@ def test_questions_on_the_command_line(files):
         assert "<html" in (files / "o.html").read_text()
 
 
+def test_certify_and_sweep_have_the_files_of_register(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    points = np.random.default_rng(0).random((8, 2))
+    pose = np.array([[1.0, 0, 3], [0, 1, 3], [0, 0, 1]])
+    noise = 0.01 * np.random.default_rng(1).standard_normal((8, 2))
+    values = {"a": points, "b": points + 3.0 + noise, "pose": pose, "w": np.arange(1.0, 9.0)}
+    for name, array in values.items():
+        np.savetxt(f"{name}.txt", array)
+    clouds = "a.txt", "b.txt"
+    options = "--model", "similarity2d", "--n-inliers", "1.0", "--quiet"
+    ran = run("certify", "pose.txt", *clouds, *options, "--certificate", "c.npz")
+    assert ran.exit_code in (0, 6), ran.output
+    assert dcreg.verify("c.npz", points, values["b"]).accepted
+    weights = "--source-weights", "w.txt"
+    ran = run("certify", "pose.txt", *clouds, *options, *weights, "--json", "o.json")
+    assert ran.exit_code in (0, 6), ran.output
+    scope = json.loads(Path("o.json").read_text())["result"]["certificate_scope"]
+    assert scope == "similarity pose, weighted points"
+    ran = run("sweep", *clouds, *options, *weights, "--out", "o.json")
+    assert ran.exit_code == 0, ran.output
+    (result,) = json.loads(Path("o.json").read_text())["results"]
+    assert result["certificate_scope"] == scope
+    ran = run("certify", "pose.txt", *clouds, *options, "--certificate", "w.txt", *weights)
+    assert "--certificate w.txt: is also an input" in ran.output
+
+
 def test_ranges_are_options_of_all_searches(files):
     """The pose that fits is outside the range, except for one about the true axis."""
     clouds = [str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d", "--quiet"]
@@ -529,7 +556,7 @@ def test_ranges_are_options_of_all_searches(files):
             ["--max-angle", "9", "--checkpoint", "c.npz"],
             "omit checkpoint, or --max-angle and --max-translation$",
         ),
-        (["--max-angle", "9", "--model", "similarity3d"], "--axis and --max-angle: similarity3d"),
+        (["--max-angle", "9", "--model", "similarity3d"], "omit --axis and --max-angle, or"),
     ],
 )
 def test_messages_about_ranges_name_the_options_that_were_given(files, monkeypatch, options, words):
@@ -542,12 +569,13 @@ def test_messages_about_ranges_name_the_options_that_were_given(files, monkeypat
 
 
 @pytest.mark.parametrize("option", ["--axis=0,0,1", "--max-angle=9", "--no-rotation"])
-def test_a_search_of_all_poses_says_that_it_has_no_range(files, option):
+def test_a_search_of_all_poses_names_commands_that_have_a_range(files, option):
     clouds = [str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d"]
     ran = run("alternatives", *clouds, "--n-inliers", "20", option)
     assert ran.exit_code == 2
     name = option.partition("=")[0]
-    assert f"error: {name}: `dcreg alternatives` searches all poses and has no range" in ran.output
+    words = f"error: {name}: not an option of `dcreg alternatives`; omit {name}, or use `dcreg register`"
+    assert words in ran.output
 
 
 def test_a_refuted_residual_has_its_exit_code(files):

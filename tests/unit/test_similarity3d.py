@@ -138,7 +138,10 @@ def test_certify_and_sweep_work():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"pose_range": dcreg.PoseRange(max_angle=30)}, "pose_range: similarity3d"),
+        (
+            {"pose_range": dcreg.PoseRange(max_angle=30)},
+            "pose_range: not supported by similarity3d",
+        ),
         (
             {"certificate": True},
             "certificate: mode 'full' of similarity3d makes none; use rigid3d, or omit certificate",

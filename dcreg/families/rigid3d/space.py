@@ -99,6 +99,7 @@ class Poses3D(CloudSpace):
 
     n_descents = 24
     max_scale = 1.0
+    scale_range = 1.0, 1.0
 
     def translations(self) -> Box:
         """Return a box that contains the translation of every optimum."""
@@ -121,6 +122,13 @@ class Poses3D(CloudSpace):
         value, col_of, _ = cheapest_pairs(self._costs(theta), self.n_inliers, self.stop_flag)
         self.check()
         return float(value), col_of
+
+    def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
+        rows = np.flatnonzero(col_of >= 0)
+        weights, (source, target) = self.weights_of(rows, col_of[rows]), self.matched(col_of)
+        if weights is None:
+            return self.fit(source, target)
+        return self._parameter(fit_pose(source.T, target.T, self.scale_range, weights))
 
     def refine(self, theta: np.ndarray) -> tuple[np.ndarray, float, int]:
         """Alternate matching and fit; each assignment starts from the previous dual variables."""
@@ -339,13 +347,6 @@ class Rigid3D(Poses3D):
         x, y = source.mean(axis=1), target.mean(axis=1)
         rotation = best_rotation(source - x[:, None], target - y[:, None])
         return np.append(rotation, y - rotation_matrix(rotation) @ x)
-
-    def fit_matching(self, theta: np.ndarray, col_of: np.ndarray) -> np.ndarray:
-        rows = np.flatnonzero(col_of >= 0)
-        weights, (source, target) = self.weights_of(rows, col_of[rows]), self.matched(col_of)
-        if weights is None:
-            return self.fit(source, target)
-        return self._parameter(fit_pose(source.T, target.T, (1.0, 1.0), weights))
 
     def weighted(self, weights: PairWeights) -> Self:
         if self._swapped:

@@ -60,7 +60,8 @@ sqrt(sigma) r lies in the convex hull of the sqrt(b) r_a, and the squared norm i
 is at one of the 8 x 8 vertices. The matching enters by rows only, and the dual variables of an
 assignment at the centre serve all vertices. The bound is of second order in all seven dimensions.
 
-Feasible pairs are handled as in `dcreg.families.rigid3d.bound`.
+Feasible pairs and weights are handled as in `dcreg.families.rigid3d.bound`. With weights, G' = sum p w
+e.x' is the derivative with respect to the scale, so all steps hold with p w instead of p.
 """
 
 from __future__ import annotations
@@ -93,10 +94,11 @@ class SimilarityBound(SpaceBound[Similarity3D]):
         super().__init__(space, roots, threads)
         self._rotations = _Rotations(space, threads) if space.only_rotates else None
         self.stored = None if self._rotations is None else self._rotations.stored
-        source, k = space.clouds.source, space.n_inliers
+        k, points = space.n_inliers, space.clouds.source
+        source = points * np.sqrt(space.clouds.heaviest)
         self._limits = Limits(
             inertia=float(np.sort((source**2).sum(axis=0))[-k:].sum()),
-            drift=k * largest_subset_mean_3d(source.T, k),
+            drift=k * largest_subset_mean_3d(points.T, k, space.lightest),
             spread=0.0,  # not used
         )
 

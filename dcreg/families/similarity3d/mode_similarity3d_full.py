@@ -31,5 +31,6 @@ MODE = Mode(
     needs=("scale_range",),
     make_bound=make_bound,
     own_bound="similarity",
+    takes_weights=True,
     stage="similarity",
 )

@@ -21,13 +21,14 @@ If k = n = m and both clouds are centred, t is 0 and the objective is
 
 where S_xx and S_yy are the sums of squared norms. The best rotation and matching maximise G, whatever
 the scale. So they are those of the rigid problem at any fixed scale, and the best scale is G / S_xx,
-clipped to the range. Only rotations are then searched; boxes are never divided along the scale.
+clipped to the range. Only rotations are then searched; boxes are never divided along the scale. This does
+not hold with weights or attributes, because the best matching then depends on the scale.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.families.similarity3d.starts import MAX_TARGETS, N_TRIPLES, similar_poses_3d
 from dcreg.jit import NEVER
 from dcreg.names import SIMILARITY_POSE
+from dcreg.problem import PairWeights
 from dcreg.problem.geometry import fit_pose
 from dcreg.search import Box
 
@@ -82,7 +84,7 @@ class Similarity3D(Poses3D):
     usual_scale : float
         The scale at which both clouds have the same spread, clipped to the range.
     only_rotates : bool
-        Whether all points of both clouds match and the clouds are centred.
+        Whether all points of both clouds match, the clouds are centred and pairs have no weights.
     """
 
     scope = SIMILARITY_POSE
@@ -113,6 +115,11 @@ class Similarity3D(Poses3D):
         turn = 1.3 * self.spread * self.usual_scale
         scale = 0.0 if self.only_rotates else self.spread
         self.axis_weights = np.array([turn, turn, turn, turn, 1.0, 1.0, 1.0, scale])
+
+    def weighted(self, weights: PairWeights) -> Self:
+        """Set the weights of pairs; the best rotation then depends on the scale."""
+        self.only_rotates, self.axis_weights[SCALE] = False, self.spread
+        return super().weighted(weights)
 
     def roots(self) -> list[Box]:
         """Return boxes that together contain every optimum."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from dcreg.assignment.kernels.dense import k_assignment_duals, row_minima
 from dcreg.assignment.kernels.selection import kth_smallest, total
-from dcreg.families.kernels import add_penalty
+from dcreg.families.kernels import add_penalty, weigh
 from dcreg.families.rigid3d.kernels.boxes import WIDE, geometry, is_small, shifted_bound
 from dcreg.families.rigid3d.kernels.poses import empty_view, look_from, pair_costs
 from dcreg.families.rigid3d.kernels.stationary import BoxGeometry, costs_at_vertices, proven
@@ -89,6 +89,7 @@ def bound_similarities(lower, upper, cutoff, clouds, limits, scales, bounds, val
             view.source, 2.0 * math.atan(box.tangent), least, most, view.target,
             view.infeasibility_penalty, costs,
         )  # fmt: skip
+        weigh(view.weights, costs)
         bounds[at], solved = shifted_bound(costs, box.shift_radius, cutoff, small, view)
         spent += solved
         if bounds[at] >= cutoff or not (small and is_stationary) or box.tangent > WIDE:
@@ -122,7 +123,7 @@ def _by_displacements(view, box, scales, limits, work, out, duals):
     stretch = max(1.0 - least, most - 1.0)
     for i in range(low.size):
         own = view.source[0, i] ** 2 + view.source[1, i] ** 2 + view.source[2, i] ** 2
-        low[i] -= stretch * stretch * own
+        low[i] -= stretch * stretch * view.heaviest[i] * own
     root_of_most = math.sqrt(most)
     vertices = np.empty(box.vertices.shape)
     for a in range(vertices.shape[0]):

@@ -1,0 +1,81 @@
+"""The pairs of a folder of clouds that has no table of pairs."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+import dcreg
+from dcreg.names import READ_SUFFIXES
+
+TABLE = "pairs.csv"  # the table of a folder
+ENDS = "_source", "_target"  # of the names of the files of a pair
+
+
+def pairs_of_folder(folder: Path, out: Path) -> list[dict[str, str]]:
+    """Return the pairs of NAME_source and NAME_target; without these, each file and the one before it.
+
+    The poses of consecutive scans then map each scan to the one before it.
+
+    Parameters
+    ----------
+    folder : Path
+    out : Path
+        The table of results. It may lie in the folder, and is no cloud.
+
+    Returns
+    -------
+    list of dict
+        The names of ``source`` and ``target``.
+
+    Raises
+    ------
+    InputError
+    """
+    clouds = [
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in READ_SUFFIXES
+        and not path.name.startswith(".")
+        and path.resolve() != out.resolve()
+    ]
+    clouds.sort(key=lambda path: in_order(path.name))
+    sources, targets = (_by_name(folder, clouds, end) for end in ENDS)
+    for found, others, end in ((sources, targets, ENDS[1]), (targets, sources, ENDS[0])):
+        for name in sorted(found.keys() - others.keys()):
+            raise _ambiguous(folder, f"{found[name]} has no counterpart {name}{end}; add it")
+    if sources:
+        return [{"source": file, "target": targets[name]} for name, file in sources.items()]
+    if len(clouds) < 2:
+        raise dcreg.InputError(
+            f"{folder}: contains {len(clouds)} point files, but a pair needs two; give another folder "
+            "or a table of pairs"
+        )
+    names = itertools.pairwise(path.name for path in clouds)
+    return [{"source": name, "target": before} for before, name in names]
+
+
+def _by_name(folder: Path, clouds: list[Path], end: str) -> dict[str, str]:
+    """Return the files of one side of the pairs, by the names of the pairs."""
+    found: dict[str, str] = {}
+    for path in clouds:
+        name = path.stem.removesuffix(end)
+        if name in found and name != path.stem:
+            raise _ambiguous(
+                folder, f"{found[name]} and {path.name} are both {name}{end}; keep one"
+            )
+        if name != path.stem:
+            found[name] = path.name
+    return found
+
+
+def _ambiguous(folder: Path, message: str) -> dcreg.InputError:
+    return dcreg.InputError(f"{folder}: {message}, or list the pairs in {folder / TABLE}")
+
+
+def in_order(name: str) -> list[tuple[int, str]]:
+    """Return a key that sorts numbers by value: scan2 comes before scan10."""
+    return [
+        (int(part or 0), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name)
+    ]
