@@ -45,17 +45,30 @@ class Commands(TyperGroup):
 
 
 class OneCommand(TyperCommand):
-    """A command; the searches of all poses say why they lack the options of a range."""
+    """A command that refuses the options of other commands by naming these commands."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Refuse the options of a range where there are none, before Typer guesses others."""
-        given = [name for arg in args if (name := arg.partition("=")[0]) in Poses.LIMITS.values()]
-        if given and self.name in ALL_POSES:
-            output.print_error(
-                f"{given[0]}: `dcreg {self.name}` searches all poses and has no range; omit {given[0]}"
-            )
-            raise typer.Exit(output.EXIT_INPUT)
+        """Refuse an option that only other commands have, before Typer guesses another one."""
+        own = {name for each in self.params for name in (*each.opts, *each.secondary_opts)}
+        for option in (arg.partition("=")[0] for arg in args if arg.startswith("--")):
+            message = None
+            if option in Poses.LIMITS.values() and self.name in ALL_POSES:
+                message = f"`dcreg {self.name}` searches all poses and has no range"
+            elif option not in own and (others := _commands_with(option, ctx)):
+                message = f"not an option of `dcreg {self.name}`, only of {', '.join(others)}"
+            if message is not None:
+                output.print_error(f"{option}: {message}; omit {option}")
+                raise typer.Exit(output.EXIT_INPUT)
         return super().parse_args(ctx, args)
+
+
+def _commands_with(option: str, ctx: Any) -> list[str]:
+    """Return the names of the commands that have an option."""
+    commands = ctx.parent.command.commands if ctx.parent else {}
+    return [
+        name for name in ORDER if name in commands
+        for each in commands[name].params if option in each.opts
+    ]  # fmt: skip
 
 
 app = typer.Typer(

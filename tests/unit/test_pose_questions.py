@@ -617,6 +617,17 @@ def test_a_search_of_all_poses_says_that_it_has_no_range(files, option):
     assert f"error: {name}: `dcreg alternatives` searches all poses and has no range" in ran.output
 
 
+@pytest.mark.parametrize(
+    ("option", "command"), [("--source-weights", "register"), ("--init=a.txt", "certify")]
+)
+def test_an_option_of_other_commands_is_refused_with_their_names(files, option, command):
+    ran = run("alternatives", "a.xyz", "b.xyz", "--model", "rigid3d", option)
+    assert ran.exit_code == 2
+    name = option.partition("=")[0]
+    assert f"error: {name}: not an option of `dcreg alternatives`, only of register" in ran.output
+    assert command in ran.output
+
+
 def test_a_refuted_residual_has_its_exit_code(files):
     ran = run(
         "register", str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d",
