@@ -129,7 +129,9 @@ class Search:
         far = Far.of(poses, distance, source)
         if any(value <= threshold and far.contains(T) for T, value in minima):
             return self._search(far, minima, budget, threshold)
-        for share in INNER:
+        # in 2D all bounds hold for every pose, and only a known translation makes stationary poses few
+        only_stationary = self.normalised.dim == 3 or len(source) == len(self.normalised.target)
+        for share in INNER if only_stationary else ():
             grown = self._grown(1.0 - share, threshold)
             if grown <= threshold * (1.0 + _ROUNDING):
                 continue

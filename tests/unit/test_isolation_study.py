@@ -39,9 +39,9 @@ def test_the_summary_counts_bounds_of_right_answers():
     rows = pd.DataFrame({
         "dim": [2, 2, 3], "level": [0.0, 0.0, 0.01], "right": [True, False, True],
         "reached": [True, True, False], "false": [False, False, True], "ratio": [np.inf, 2.0, 1.2],
-        "rms_proven": [0.1, 0.2, 0.3], "time_s": [1.0, 9.0, 3.0],
+        "rms_proven": [0.1, 0.2, 0.3], "cpu_s": [1.0, 9.0, 3.0],
     })  # fmt: skip
     flat, solid = study.summary(rows).to_dict("records")
     assert (flat["problems"], flat["right"], flat["reached"], flat["false"]) == (2, 1, 1, 0)
     assert (solid["problems"], solid["right"], solid["reached"], solid["false"]) == (1, 1, 0, 1)
-    assert flat["max_s"] == 1.0
+    assert flat["max_cpu_s"] == 1.0
