@@ -67,15 +67,43 @@ def certify(
     return _finish(found, points, clouds, names, files, proof) or code
 
 
+@dataclass
+class Others:
+    """The settings of `dcreg.alternatives`.
+
+    Attributes
+    ----------
+    ratio : X
+        A pose is nearly as good if its objective is at most X times that of the best pose.
+    min_displacement : D
+        Two poses are distinct if the RMS displacement of the source points between them exceeds D, in
+        units of the target. Default: three times the RMS residual of the best pose or --noise, but at
+        least 1 % of the RMS radius of the target.
+    noise : D
+        A pose is also nearly as good if its RMS residual is at most D, in units of the target. Exact fits
+        need such a length. Default: a third of --min-displacement, but at most a third of its default
+        minimum.
+    isolated : D
+        As --min-displacement; in addition, raise the lower bound of all other poses as far as the bounds
+        and the time allow.
+    max_others : N
+        Stop when N other poses are found.
+    """
+
+    ratio: float = DEFAULT_RATIO
+    min_displacement: float | None = None
+    noise: float | None = None
+    isolated: float | None = None
+    max_others: int = 20
+
+
 @command
 def alternatives(
     *,
     clouds: CloudFiles,
     n_inliers: str | None = None,
     search: Search,
-    ratio: float = DEFAULT_RATIO,
-    min_displacement: float | None = None,
-    max_others: int = 20,
+    others: Others,
     files: AnswerFiles,
     quiet: Quiet = False,
 ) -> int:
@@ -88,21 +116,12 @@ def alternatives(
     ----------
     n_inliers : K
         Pairs to match, as for `dcreg register`. Required.
-    ratio : X
-        A pose is nearly as good if its objective is at most X times that of the best pose.
-    min_displacement : D
-        Two poses are distinct if the RMS displacement of the source points between them exceeds D, in
-        units of the target. Default: three times the RMS residual of the best pose, but
-        at least 1 % of the RMS radius of the target.
-    max_others : N
-        Stop when N other poses are found.
     """
     files.check(*clouds.names.values(), search.candidates_path)
     count = required_count(n_inliers)
     points = clouds.read(search.model)
     keywords, options = search.settings(clouds)
-    keywords |= {"n_inliers": count, "ratio": ratio, "max_others": max_others}
-    keywords["min_displacement"] = min_displacement
+    keywords |= {"n_inliers": count, **vars(others)}
     found = run_search(dcreg.alternatives, *points, quiet=quiet, options=options, **keywords)
     code = output.EXIT_OK if found.is_complete else output.EXIT_LIMIT
     return _finish(found, points, clouds, clouds.names, files) or code

@@ -7,6 +7,7 @@ another pose below the threshold, which joins the list, or with the proof that t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -149,7 +150,9 @@ class Alternatives(Answer):
         yield "answer", self.answer
         yield "distinct if", f"displaced by more than {self.min_displacement:.4g} (RMS)"
         yield "threshold", f"objective {self.threshold:.6g}"
-        bound = f"{self.lower_bound:.6g} for every distinct pose that is not listed"
+        residual = math.sqrt(self.lower_bound / self.result.n_inliers)
+        bound = f"{self.lower_bound:.6g} (RMS residual {residual:.4g})"
+        bound += " for every distinct pose that is not listed"
         if not self.result.is_exact:
             bound += (
                 f", {self.lower_bound / self.result.upper_bound:.4g} times that of the best pose"
@@ -184,6 +187,8 @@ def alternatives(
     model: str,
     ratio: float = DEFAULT_RATIO,
     min_displacement: float | None = None,
+    noise: float | None = None,
+    isolated: float | None = None,
     max_others: int = 20,
     scale_range: tuple[float, float] | None = None,
     candidates: Candidates | None = None,
@@ -198,8 +203,8 @@ def alternatives(
     """Find all distinct poses that are nearly as good as the best one, or prove that there is none.
 
     Solves the problem of `dcreg.register`. It then minimises over all poses that are distinct from those
-    found so far, until the minimum is proven to exceed the threshold. The threshold is `ratio` times the
-    upper bound, at least ``n_inliers * (min_displacement / 3)^2``.
+    found so far, until the minimum is proven to exceed the threshold. The threshold is the larger of
+    `ratio` times the upper bound and ``n_inliers * noise^2``, plus `abs_gap`.
 
     Parameters
     ----------
@@ -209,8 +214,15 @@ def alternatives(
         A pose is nearly as good if its objective is at most this multiple of the best one; at least 1.
     min_displacement : float, optional
         Two poses are distinct if the RMS displacement of the source points between them exceeds this
-        length, in units of the target. Default: three times the RMS residual of the best pose, but
-        at least 1 % of the RMS radius of the target.
+        length, in units of the target. Default: three times the RMS residual of the best pose or
+        `noise`, but at least 1 % of the RMS radius of the target.
+    noise : float, optional
+        A pose is also nearly as good if its RMS residual is at most this length, in units of the target.
+        An exact fit needs such a length, because any multiple of its objective is 0. Default: a third of
+        `min_displacement`, but at most a third of the default's minimum.
+    isolated : float, optional
+        As `min_displacement`. In addition, the lower bound is raised above the threshold: until a pose
+        has nearly this objective, until the bounds reach no further, or until the time is over.
     max_others : int
         The search ends when it has found this many other poses. A sphere has infinitely many.
     rel_gap, abs_gap, tol, node_limit, memory_limit_mb
@@ -242,22 +254,44 @@ def alternatives(
     problem = Problem(source, target, n_inliers, model, scale_range, candidates)
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
     return find_alternatives(
-        problem, limits, SolveOptions.of(options), ratio=ratio, min_displacement=min_displacement,
-        max_others=max_others,
+        problem, limits, SolveOptions.of(options),
+        Question(ratio, min_displacement, noise, isolated, max_others),
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Question:
+    """Which poses are searched for; see `dcreg.alternatives`."""
+
+    ratio: float
+    min_displacement: float | None
+    noise: float | None
+    isolated: float | None
+    max_others: int
+
+    def check(self, problem: Problem) -> None:
+        """Refuse values that make no sense.
+
+        Raises
+        ------
+        InputError
+        """
+        smallest = SMALLEST_DISPLACEMENT * (rms_radius(problem.target) or 1.0)
+        check_positive("ratio", self.ratio, minimum=1.0, optional=False)
+        for name in ("min_displacement", "isolated"):
+            check_positive(name, getattr(self, name), minimum=smallest)
+        check_positive("noise", self.noise)
+        check_positive("max_others", self.max_others, such_as=20, optional=False)
+        if None not in (self.min_displacement, self.isolated):
+            raise InputError("isolated: replaces min_displacement; give one of the two")
+
+
 def find_alternatives(
-    problem: Problem,
-    limits: Limits,
-    options: SolveOptions,
-    *,
-    ratio: float,
-    min_displacement: float | None,
-    max_others: int,
+    problem: Problem, limits: Limits, options: SolveOptions, question: Question
 ) -> Alternatives:
     """Solve a problem, then search for other poses; see `dcreg.alternatives`."""
-    _check(problem, options, ratio, min_displacement, max_others)
+    question.check(problem)
+    _check(problem, options)
     setup = Setup.of([problem], limits, options)
     if setup.is_sampled:
         raise InputError(
@@ -276,27 +310,22 @@ def find_alternatives(
         solution.events = solving.history
         best, minima = (solution.T, solution.upper_bound), solution.minima
         result = Finish(setup, 0, normalised, solving, solving).result(solution)
-        searched = replace(normalised, budget=budget)
-        search = Search(setup, result, searched, min_displacement, ratio)
-        status, lower_bound, known = search.run(best, minima, budget, max_others)
+        searched, distance = replace(normalised, budget=budget), question.isolated
+        search = Search(
+            setup, result, searched, distance or question.min_displacement, question.ratio, question.noise
+        )  # fmt: skip
+        status, lower_bound, known = search.run(best, minima, budget, question.max_others)
+        if distance is not None and status is Status.OPTIMAL:
+            lower_bound = search.raised(lower_bound, known, minima, budget)
         others = [_described(setup, result, search.distance, *each) for each in known[1:]]
+        area = setup.frame.area
         return Alternatives(
-            status, result, search.distance, search.threshold, lower_bound * setup.frame.area, others,
+            status, result, search.distance, search.threshold * area, lower_bound * area, others,
             budget.elapsed(),
         )  # fmt: skip
 
 
-def _check(
-    problem: Problem,
-    options: SolveOptions,
-    ratio: float,
-    min_displacement: float | None,
-    max_others: int,
-) -> None:
-    check_positive("ratio", ratio, minimum=1.0, optional=False)
-    smallest = SMALLEST_DISPLACEMENT * (rms_radius(problem.target) or 1.0)
-    check_positive("min_displacement", min_displacement, minimum=smallest)
-    check_positive("max_others", max_others, such_as=20, optional=False)
+def _check(problem: Problem, options: SolveOptions) -> None:
     if problem.pose_range is not None:
         raise InputError("pose_range: alternatives are searched among all poses; omit it")
     if problem.model == "similarity3d":

@@ -24,6 +24,8 @@ STAGE = "other poses"  # in events
 # fastest, because the objective is larger farther away.
 INNER = 0.5, 1.0 / 3.0
 _ROUNDING = 1e-9  # relative
+RAISE = 1.5  # factor by which a bound is raised
+LEAST_RAISE = 1.01  # a smaller factor is not worth a search
 
 # A pose and its objective, in normalised units.
 Known = tuple[np.ndarray, float]
@@ -38,7 +40,15 @@ class Found(NamedTuple):
 
 
 class Search:
-    """The search for other poses after a solve, in normalised units."""
+    """The search for other poses after a solve.
+
+    Attributes
+    ----------
+    distance : float
+        Displacement beyond which poses are distinct, in units of the target.
+    threshold : float
+        The objective up to which poses are listed, in normalised units.
+    """
 
     def __init__(
         self,
@@ -47,14 +57,17 @@ class Search:
         normalised: NormalisedProblem,
         min_displacement: float | None,
         ratio: float,
+        noise: float | None,
     ) -> None:
         self.setup, self.result, self.normalised = setup, result, normalised
         problem = setup.problems[0]
         size = rms_radius(problem.target) or rms_radius(problem.source) or 1.0
-        residual = math.sqrt(result.upper_bound / result.n_inliers)
+        area, count, abs_gap = setup.frame.area, result.n_inliers, normalised.tolerance.abs
+        residual = math.sqrt(result.upper_bound / count + abs_gap * area / count)
+        residual = max(residual, noise or 0.0)
         self.distance = min_displacement or max(RESIDUALS * residual, SHARE_OF_SIZE * size)
-        own = result.n_inliers * (self.distance / RESIDUALS) ** 2
-        self.threshold = max(ratio * result.upper_bound, own)
+        least = noise or min(self.distance, SHARE_OF_SIZE * size) / RESIDUALS
+        self.threshold = max(ratio * result.upper_bound, count * least**2) / area + abs_gap
 
     def run(
         self,
@@ -76,10 +89,10 @@ class Search:
         """
         known, status, lower_bound = [best], Status.CONVERGED, 0.0
         while True:
-            found = self._next(known, minima, budget)
+            found = self._next(known, minima, budget, self.threshold)
             if found.pose is None:
                 lower_bound = found.lower_bound
-                is_complete = lower_bound > self.threshold / self.setup.frame.area
+                is_complete = lower_bound > self.threshold
                 status = Status.OPTIMAL if is_complete else found.status
                 break
             known.append(found.pose)
@@ -88,33 +101,51 @@ class Search:
                 break
         return status, lower_bound, known
 
-    def _next(self, known: list[Known], minima: list[Known], budget: Budget) -> Found:
-        """Search for another pose below the threshold."""
+    def raised(
+        self, lower_bound: float, known: list[Known], minima: list[Known], budget: Budget
+    ) -> float:
+        """Raise the lower bound of all other poses until one of them is near it, or until a limit."""
+        most = math.inf
+        while True:
+            aim = min(RAISE * lower_bound, most)
+            grown = self._grown(1.0 - INNER[0], aim)
+            aim = min(aim, grown / (1.0 + _ROUNDING) ** 2 or math.inf)
+            if aim < LEAST_RAISE * lower_bound or budget.is_over:
+                return lower_bound
+            found = self._next(known, minima, budget, aim)
+            if found.pose is not None:
+                most = found.pose[1] / LEAST_RAISE
+                continue
+            lower_bound = max(lower_bound, found.lower_bound)
+            if lower_bound <= aim:
+                return lower_bound
+
+    def _next(
+        self, known: list[Known], minima: list[Known], budget: Budget, threshold: float
+    ) -> Found:
+        """Search for another pose below a threshold."""
         poses, source = [T for T, _ in known], self.normalised.source
         distance = self.distance / self.setup.frame.unit
         far = Far.of(poses, distance, source)
-        if self._is_known_far(far, minima):
-            return self._search(far, minima, budget)
-        for share in INNER:
-            grown = self._grown((1.0 - share) * distance)
-            if grown <= self.threshold / self.setup.frame.area * (1.0 + _ROUNDING):
+        if any(value <= threshold and far.contains(T) for T, value in minima):
+            return self._search(far, minima, budget, threshold)
+        # in 2D all bounds hold for every pose, and only a known translation makes stationary poses few
+        only_stationary = self.normalised.dim == 3 or len(source) == len(self.normalised.target)
+        for share in INNER if only_stationary else ():
+            grown = self._grown(1.0 - share, threshold)
+            if grown <= threshold * (1.0 + _ROUNDING):
                 continue
             stationary = FarStationary.of(poses, share * distance, source)
-            found = self._search(stationary, minima, budget)
+            found = self._search(stationary, minima, budget, threshold)
             if found.pose is None:
                 return found._replace(lower_bound=min(found.lower_bound, grown))
             break
-        return self._search(far, minima, budget)
+        return self._search(far, minima, budget, threshold)
 
-    def _is_known_far(self, far: Far, minima: list[Known]) -> bool:
-        """Tell whether a pose below the threshold is known already."""
-        threshold = self.threshold / self.setup.frame.area
-        return any(value <= threshold and far.contains(T) for T, value in minima)
+    def _grown(self, share: float, threshold: float) -> float:
+        """Return a lower bound on the cost of every matching beyond this share of the distance.
 
-    def _grown(self, distance: float) -> float:
-        """Return a lower bound on the cost of every matching at a distance from its best pose.
-
-        It holds for costs below the threshold; 0 if it is not known.
+        It holds for costs up to the threshold; 0 if it is not known.
 
         Let all source points be matched, and let a pose T farther than D from the known ones have an
         objective below the threshold C, with the matching P. If the best pose of P is farther than D - d
@@ -127,28 +158,37 @@ class Search:
         parts of e and x orthogonal to a. It is at least -sqrt(C m), where m = a^T (tr(M) I - M) a is the
         sum of the squares of these parts of x. So the cost grows by at least the share 1 - sqrt(C / q) of
         n d^2, where q is the minimum eigenvalue of tr(M) I - M.
+
+        In 2D, q = tr(M). The poses are x -> a x + t with complex numbers a. The cost without limits of
+        the scale grows by n |t'|^2 + q |a - b|^2 from its minimum, at b. The best admissible a has the
+        angle of b. If |b| is at least the minimum scale s, the cost grows from there by at least n d^2.
+        Otherwise it grows by at least |b| / s times that, and |b| >= s - sqrt(C / q).
         """
-        source, area = self.normalised.source, self.setup.frame.area
+        source, low = self.normalised.source, self.normalised.scale_range[0]
         n, d = source.shape
-        if d != 3 or self.normalised.n_inliers != n or self.normalised.candidates is not None:
+        if self.normalised.n_inliers != n:
             return 0.0
         centred = source - source.mean(axis=0)
-        spread = float((centred**2).sum())
-        least = spread - float(np.linalg.eigvalsh(centred.T @ centred)[-1])
-        threshold = self.threshold / area
-        share = max(0.0, 1.0 - math.sqrt(threshold / least)) if least > 0.0 else 0.0
-        return self.result.lower_bound / area + share * n * distance**2
+        least = float((centred**2).sum())
+        if d == 3:
+            least -= float(np.linalg.eigvalsh(centred.T @ centred)[-1])
+        lost = math.sqrt(threshold / least) / low if least > 0.0 else 1.0
+        growth = n * (share * self.distance / self.setup.frame.unit) ** 2
+        return self.result.lower_bound / self.setup.frame.area + max(0.0, 1.0 - lost) * growth
 
-    def _search(self, region: Far, minima: list[Known], budget: Budget) -> Found:
+    def _search(self, region: Far, minima: list[Known], budget: Budget, threshold: float) -> Found:
         """Search for a pose of the region below the threshold."""
-        threshold = self.threshold / self.setup.frame.area
         tolerance = Tolerance(rel=1e-6, target=threshold)
         problem = replace(self.normalised, region=region, tolerance=tolerance, init=None)
         attempt = Attempt(replace(self.setup.mode, stage=STAGE), problem)
-        far = [
-            Start(attempt.space.parameter(T), value) for T, value in minima if region.contains(T)
-        ]
-        start = min(far, key=lambda each: each.value, default=Start(attempt.bound.roots[0].centre))
+        ends = [(T, value) for T, value in minima if region.contains(T)]
+        if ends:
+            T, value = min(ends, key=lambda each: each[1])
+            start = Start(attempt.space.parameter(T), value)
+        elif len(region.poses) > 1:  # the shape is symmetric, so there may be more poses
+            start = attempt.start(budget)
+        else:
+            start = Start(attempt.bound.roots[0].centre)
         found = attempt.run(budget, start)
         if found.upper_bound <= threshold:
             return Found((attempt.space.pose(found.theta), found.upper_bound), 0.0, found.status)

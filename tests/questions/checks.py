@@ -62,11 +62,16 @@ def check_certify(number: int) -> Checked:
 
 
 def check_alternatives(number: int) -> Checked:
-    """Are these all poses that are nearly as good? Every good fit must be near a listed pose."""
+    """Are these all poses that are nearly as good? Every good fit must be near a listed pose.
+
+    Most open answers have fewer pairs than source points. In 2D, two pairs fit exactly at more poses than
+    are listed; in 3D, the bounds near the boundary of the region need more time.
+    """
     one = small(number)
     p, eps = one.problem, one.rounding()
     ratio = (1.0, 1.2, 1.5, 2.0)[number // 3 % 4]
-    found = dcreg.alternatives(p.source, p.target, ratio=ratio, **one.keywords)
+    isolated = 0.3 if number % 5 == 0 else None
+    found = dcreg.alternatives(p.source, p.target, ratio=ratio, isolated=isolated, **one.keywords)
     listed, faults = list(found.poses.values()), []
     for at, T in enumerate(listed[1:], 1):
         value, _ = dcreg.objective(p.source, p.target, T, p.n_inliers)
@@ -93,15 +98,18 @@ def check_alternatives(number: int) -> Checked:
 def _beyond(one: Small, distance: float, listed: list[np.ndarray], lower_bound: float) -> list[str]:
     """Compare the lower bound with random poses just beyond the listed ones, stationary or not."""
     p, rng = one.problem, np.random.default_rng([9, one.number])
+    d, eye = p.dim, np.eye(p.dim)
     for _ in range(60):
         T = listed[int(rng.integers(len(listed)))]
-        step, size = 0.3 * rng.standard_normal((p.dim, p.dim)), rng.uniform(1.0, 2.0) * distance
-        moved = T.copy()
+        step, size = 0.3 * rng.standard_normal((d, d)), rng.uniform(1.0, 2.0) * distance
+        shift, growth = 0.3 * rng.integers(2) * rng.standard_normal((2, d))
+        moved, scale = T.copy(), scale_of(T)
         for _ in range(30):  # scale the step until the displacement is as wanted
-            moved[: p.dim, : p.dim] = (
-                nearest_rotation(np.eye(p.dim) + step - step.T) @ T[: p.dim, : p.dim]
-            )
-            step *= size / max(_apart(p.source, moved, T), 1e-12)
+            ratio = np.clip(scale * (1.0 + growth[0]), *p.scale_range) / scale
+            moved[:d, :d] = ratio * nearest_rotation(eye + step - step.T) @ T[:d, :d]
+            moved[:d, d] = T[:d, d] + shift
+            factor = size / max(_apart(p.source, moved, T), 1e-12)
+            step, shift, growth = factor * step, factor * shift, factor * growth
         if min(_apart(p.source, moved, other) for other in listed) > distance:
             value, _ = dcreg.objective(p.source, p.target, moved, p.n_inliers)
             if value < lower_bound - one.rounding():

@@ -132,15 +132,76 @@ def test_symmetric_shapes_have_all_their_poses():
     assert "times" not in dict(found.entries())["lower bound"]  # the best objective is 0
 
 
-def test_a_shift_has_neither_axis_nor_fold():
-    """The target holds the source twice, at two places."""
-    twice = np.concatenate([SOURCE[:8], np.array([9.0, 0.0, 0.0]) + SOURCE[:8]])
-    found = dcreg.alternatives(SOURCE[:8], twice, n_inliers=8, model="rigid3d", time_limit=20)
-    shift = found.others[0]
-    assert shift.displacement == pytest.approx(9.0, rel=0.01)
+def test_a_repeated_part_is_a_shift_without_axis_or_fold():
+    """The target holds the source twice, at two places; the list is complete."""
+    twice = np.concatenate([SOURCE[:8], np.array([3.0, 0.0, 0.0]) + SOURCE[:8]])
+    found = dcreg.alternatives(
+        SOURCE[:8], twice, n_inliers=8, model="rigid3d", min_displacement=0.3, time_limit=20
+    )
+    assert found.is_complete
+    (shift,) = found.others
+    assert shift.displacement == pytest.approx(3.0, rel=0.01)
     assert shift.angle_deg < 1.0
     assert shift.axis is shift.fold is None
     assert "about (" not in str(found).partition("best pose")[0]
+
+
+CHIRAL = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [1.0, 1.5], [0.0, 2.0]])
+KITE = np.array([[0.0, 0.0], [2.0, 0.5], [2.0, -0.5], [3.0, 1.0], [3.0, -1.0]])
+
+
+@pytest.mark.parametrize(("shape", "angles"), [(CHIRAL, []), (KITE, [180])])
+def test_a_mirror_image_counts_if_a_motion_gives_it(shape, angles):
+    """A mirror image of a flat shape is a half turn in 3D. In 2D it is one only of a symmetric shape."""
+    flat = np.column_stack([shape, np.zeros(5)])
+    found = dcreg.alternatives(flat, flat @ TURN.T, n_inliers=5, model="rigid3d", time_limit=20)
+    assert found.is_complete
+    assert [round(each.angle_deg) for each in found.others] == angles
+    pair = np.concatenate([shape, shape * [1.0, -1.0] + [10.0, 0.0]])
+    found = dcreg.alternatives(
+        shape, pair, n_inliers=5, model="similarity2d", scale_range=(1, 1), time_limit=20
+    )
+    assert found.is_complete
+    assert len(found.others) == len(angles)
+
+
+def test_equally_good_poses_are_found_and_proven_to_be_all():
+    """All four poses of a square have the same objective up to rounding, which is the least `abs_gap`."""
+    square = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    given = {"n_inliers": 4, "model": "similarity2d", "scale_range": (1, 1), "ratio": 1.0}
+    target = square + 0.02 * np.random.default_rng(1).standard_normal((4, 2))
+    found = dcreg.alternatives(square, target, **given, time_limit=20)
+    assert found.is_complete
+    assert sorted(each.fold for each in found.others) == [2, 4, 4]
+    wider = dcreg.alternatives(square, target, **given, abs_gap=0.001, min_displacement=0.3)
+    assert wider.threshold == pytest.approx(wider.result.upper_bound + 0.001)
+
+
+def test_an_isolated_pose_has_a_bound_far_above_the_threshold():
+    """No bound exceeds the objective of a pose just beyond the displacement."""
+    for target, least in ((TARGET, 10.0), (SOURCE @ TURN.T, 0.0)):
+        found = dcreg.alternatives(SOURCE, target, **KEYWORDS, isolated=0.5, noise=0.03)
+        best = found.result
+        assert found.is_unique
+        assert found.min_displacement == 0.5
+        assert found.threshold == pytest.approx(max(1.5 * best.upper_bound, 20 * 0.03**2))
+        assert found.lower_bound > max(least * best.upper_bound, 20 * 0.1**2)
+        moved = best.T_target_source.copy()
+        moved[:3, 3] += 0.51 / np.sqrt(3.0)
+        assert found.lower_bound < dcreg.objective(SOURCE, target, moved, 20)[0]
+    assert "(RMS residual 0." in dict(found.entries())["lower bound"]
+
+
+def test_poses_within_the_noise_are_listed():
+    """The second copy is a little deformed: within the noise of 0.1, but not within that of 0.02."""
+    source = SOURCE[:8, :2]
+    other = source + 5.0 + 0.05 * np.random.default_rng(2).standard_normal((8, 2))
+    given = {"n_inliers": 8, "model": "similarity2d", "scale_range": (1, 1), "time_limit": 20}
+    for noise, count in ((0.1, 1), (0.02, 0)):
+        found = dcreg.alternatives(source, np.concatenate([source, other]), **given, noise=noise)
+        assert found.is_complete
+        assert len(found.others) == count
+        assert found.min_displacement >= 3 * noise
 
 
 def test_poses_are_distinct_beyond_the_displacement_given():
@@ -160,7 +221,7 @@ def test_a_shape_without_symmetry_has_one_pose():
     assert found.is_unique
     assert found.lower_bound >= 1.5 * found.result.upper_bound
     words, _, ratio = dict(found.entries())["lower bound"].partition(", ")
-    assert words == f"{found.lower_bound:.6g} for every distinct pose that is not listed"
+    assert words.startswith(f"{found.lower_bound:.6g} (RMS residual ")
     assert float(ratio.split()[0]) >= 1.5
 
 
@@ -195,6 +256,12 @@ def test_an_exact_fit_meets_every_residual_and_a_refuted_one_stays_refuted():
         ({"ratio": 0.5}, "ratio: 0.5 is not a usable value; give a number of at least 1$"),
         ({"min_displacement": -1.0}, "min_displacement"),
         ({"min_displacement": 1e-12}, "min_displacement: 1e-12 .*; give a number of at least"),
+        ({"isolated": 1e-12}, "isolated: 1e-12 .*; give a number of at least"),
+        (
+            {"isolated": 0.1, "min_displacement": 0.1},
+            "isolated: replaces min_displacement; give one",
+        ),
+        ({"noise": 0.0}, "noise: 0.0 is not a usable value"),
         ({"options": dcreg.SolveOptions(downsample=10)}, "a sample"),
         ({"max_others": 0}, "max_others"),
         (
@@ -484,7 +551,7 @@ def test_questions_on_the_command_line(files):
     written = ["--json", str(files / "o.json"), "--plot", str(files / "o.html")]
     asked = {
         "certify": ([str(files / "pose.txt")], pairs, "improvable", 6, "verdict"),
-        "alternatives": ([], pairs, "unique", 0, "is_unique"),
+        "alternatives": (["--isolated", "0.5", "--noise", "0.03"], pairs, "unique", 0, "is_unique"),
         "max-inliers": ([], ["--distance", "0.1"], "exactly 20 pairs", 0, "at_most"),
     }
     for command, (before, more, words, code, key) in asked.items():
@@ -576,6 +643,17 @@ def test_a_search_of_all_poses_names_commands_that_have_a_range(files, option):
     name = option.partition("=")[0]
     words = f"error: {name}: not an option of `dcreg alternatives`; omit {name}, or use `dcreg register`"
     assert words in ran.output
+
+
+@pytest.mark.parametrize(
+    ("option", "command"), [("--source-weights", "register"), ("--init=a.txt", "certify")]
+)
+def test_an_option_of_other_commands_is_refused_with_their_names(files, option, command):
+    ran = run("alternatives", "a.xyz", "b.xyz", "--model", "rigid3d", option)
+    assert ran.exit_code == 2
+    name = option.partition("=")[0]
+    assert f"error: {name}: not an option of `dcreg alternatives`, only of register" in ran.output
+    assert command in ran.output
 
 
 def test_a_refuted_residual_has_its_exit_code(files):
