@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
-
-import typer
 
 import dcreg
 from dcreg.cli import output
@@ -174,17 +171,7 @@ def _finish(
     files: AnswerFiles,
 ) -> int:
     """Print an answer and write its files; return 0, or the exit code of a failure."""
-    json_path, plot_path = files.json_path, files.plot_path
-    to_stdout = json_path == output.STDOUT
-    in_files = _in_files(found, clouds)
-    more: dict[str, Any] = {**names, **clouds.n_dropped}
-    typer.echo(found, err=to_stdout)
-    if to_stdout:
-        typer.echo(in_files.to_json(**more))
-        json_path = None
-    shown = names["source"], names["target"]
-    return output.write_outputs(
-        dcreg.Status.OPTIMAL,
-        (json_path, partial(in_files.write_json, **more)),
-        (plot_path, lambda path: dcreg.plot_answer(*points, found, path, names=shown)),
-    )
+    return output.write_answer(
+        found, points, files.json_path, files.plot_path, {**names, **clouds.n_dropped},
+        in_files=_in_files(found, clouds),
+    )  # fmt: skip
