@@ -29,7 +29,7 @@ from workflows.studies.refute import Keypoints, feasible_pairs, keypoints
 
 SCENE, OVERLAP = "7-scenes-redkitchen", 0.6
 DISTANCE = 0.1  # metres
-TABLE = Path(__file__).parents[2] / "docs" / "images" / "questions.md"
+TABLE = Path(__file__).parents[2] / "docs" / "tables" / "questions.md"
 
 
 @dataclass(frozen=True)
