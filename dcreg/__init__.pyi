@@ -4,7 +4,8 @@ from . import certificate, search
 from .api import register, register_matches, sweep
 from .assignment.objective import objective
 from .certificate import Certificate
-from .certificate.verification import Report, verify
+from .certificate.report import Report
+from .certificate.verification import verify
 from .diagnostics import advice
 from .driver.options import SolveOptions
 from .driver.warm_up import warm_up

@@ -24,7 +24,7 @@ PICTURE = ROOT / "docs" / "architecture.svg"
 GROUPS = {
     "cli": ("cli", "__main__"),
     "api": ("__init__", "api"),
-    "results": ("result", "result_parts", "sweep_result", "diagnostics", "runner_up", "answer"),
+    "results": ("result", "result_parts", "sweep_result", "diagnostics", "runner_up"),
 }
 LINES = {
     "cli": "The command line",

@@ -14,7 +14,7 @@ copyright = "2026, the dcreg contributors"
 release = version = __version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "mathml", "listings"]
-exclude_patterns = ["_extensions", "images"]
+exclude_patterns = ["_extensions", "images", "tables"]
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
 

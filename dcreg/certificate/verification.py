@@ -11,7 +11,7 @@ too many boxes, the smaller bound that the stated tolerance permits is proven in
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,58 +31,13 @@ from dcreg.certificate.format import (
 from dcreg.certificate.objective import Objective
 from dcreg.certificate.objectives import OBJECTIVES
 from dcreg.certificate.proof import Progress, Proof, check_partition
+from dcreg.certificate.report import Report, pose_of
 from dcreg.certificate.rigid_proof import RigidProof
 from dcreg.certificate.statement import check_claim, check_start_box, exact_up_to
 
 EXACT_MODEL = "similarity2d"  # the bounds of others need roots
 NEGLIGIBLE = 1e-6  # share of a lower bound up to which the tolerance for rounding is not subtracted
 MAX_DENSE = 4_000_000  # pairs of points up to which cost matrices are formed
-
-
-@dataclass
-class Report:
-    """The outcome of `verify`. Bounds are in squared units of the target, as in `dcreg.Result`.
-
-    Attributes
-    ----------
-    accepted : bool
-    is_certificate : bool
-        False if there was nothing to check: no file, or a file that is not a certificate.
-    reason : str
-        Why the certificate was rejected; empty if it was accepted.
-    statement : str
-        What is proven; empty if the certificate was rejected.
-    is_trivial : bool
-        Whether the lower bound is 0, which holds for any sum of squares, and the upper bound is not 0.
-    checks : list of str
-        One line for each check passed.
-    model : str
-        Family of poses that the certificate refers to.
-    n_inliers : int
-    lower_bound, upper_bound, gap_tol : float
-        As stated by the certificate; proven only if it was accepted. If the stated lower bound takes too
-        many boxes, ``lower_bound`` is ``upper_bound - gap_tol``, and a line of ``checks`` says so.
-    n_leaves, n_boxes, n_assignments : int
-        Leaves of the certificate, boxes bounded for the proof, assignments solved.
-    time_s : float
-        Wall time of the check.
-    """
-
-    accepted: bool = False
-    is_certificate: bool = True
-    reason: str = ""
-    statement: str = ""
-    is_trivial: bool = False
-    checks: list[str] = field(default_factory=list)
-    model: str = ""
-    n_inliers: int = 0
-    lower_bound: float = np.nan
-    upper_bound: float = np.nan
-    gap_tol: float = np.nan
-    n_leaves: int = 0
-    n_boxes: int = 0
-    n_assignments: int = 0
-    time_s: float = 0.0
 
 
 def verify(
@@ -201,6 +156,7 @@ def _check(
     report.checks.append("the leaves are a partition of the start box")
     try:
         check_optimum(objective, c, slack)
+        report.T_target_source = pose_of(c, is_swapped=len(source) > len(target))
         report.checks.append(f"the stated parameter attains {report.upper_bound:.9g}")
         tried = check_samples(objective, c, slack, n_samples)
         report.checks.append(f"none of {tried} sampled parameters is below the bound of its leaf")

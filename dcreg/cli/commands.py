@@ -12,7 +12,7 @@ import typer
 import dcreg
 from dcreg.cli import output
 from dcreg.cli.app import app, command, run_search
-from dcreg.cli.files import BatchFiles, Outputs, SearchFiles
+from dcreg.cli.files import AnswerFiles, BatchFiles, Outputs, SearchFiles
 from dcreg.cli.numbers import parse_count_or_auto, parse_counts
 from dcreg.cli.options import CloudFiles, Goal, MatchSearch, Poses, Quiet, Search
 from dcreg.cli.weights import CostFiles
@@ -218,12 +218,18 @@ def batch(
 
 @command
 def verify(
-    *, certificate: Path, clouds: CloudFiles, exact: bool = False, quiet: Quiet = False
+    *,
+    certificate: Path,
+    clouds: CloudFiles,
+    exact: bool = False,
+    files: AnswerFiles,
+    quiet: Quiet = False,
 ) -> int:
     """Check a certificate against its clouds, without the code of the search.
 
-    Exit code: 0 the claim is proven, or true but trivial; 2 bad input;
-    5 the certificate is rejected (the message states the reason).
+    Exit code: 0 the claim is proven, or true but trivial; 2 bad input; 4 an
+    output file could not be written; 5 the certificate is rejected (the message
+    states the reason).
 
     Parameters
     ----------
@@ -234,6 +240,7 @@ def verify(
     """
     from dcreg.cli.progress import Progress
 
+    files.check(*clouds.names.values(), str(certificate))
     points, check = clouds.read(), dcreg.verify
     with Progress(quiet=quiet, step="checking the statements of the certificate") as progress:
         report = progress.run(
@@ -241,22 +248,9 @@ def verify(
         )
     if not report.is_certificate:
         raise dcreg.InputError(report.reason)
-    for passed in report.checks:
-        typer.echo(f"ok: {passed}")
-    if not report.accepted:
-        typer.echo(
-            f"rejected: {report.reason}; check the clouds, or make a new certificate with "
-            "`dcreg register --certificate`"
-        )
-        return output.EXIT_REFUSED
-    if report.is_trivial:
-        typer.echo(
-            f"true, but proves nothing: {report.statement}; 0 is a lower bound on every sum of squares. "
-            "Register without --abs-gap and --tol, or with more time, for a larger lower bound"
-        )
-    else:
-        typer.echo(f"proven: {report.statement}")
-    return output.EXIT_OK
+    names: dict[str, Any] = {**clouds.names, "certificate": str(certificate), **clouds.n_dropped}
+    code = output.write_answer(report, points, files.json_path, files.plot_path, names)
+    return code or (output.EXIT_OK if report.accepted else output.EXIT_REFUSED)
 
 
 @app.command()

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 import dcreg
 from dcreg.cli.interrupts import raise_again
 from dcreg.names import FIGURE_PACKAGES
+
+if TYPE_CHECKING:
+    import numpy as np
 
 # 1 is left to Python: an unexpected error, or a missing package.
 EXIT_OK, EXIT_INPUT, EXIT_LIMIT, EXIT_OUTPUT, EXIT_REFUSED, EXIT_REFUTED = 0, 2, 3, 4, 5, 6
@@ -110,3 +115,41 @@ def write_outputs(status: dcreg.Status, *writers: tuple[Path | None, Writer]) ->
                 "Free some space or name a file elsewhere"
             )
     return code
+
+
+def write_answer(
+    found: Any,
+    points: tuple[np.ndarray, np.ndarray],
+    json_path: Path | None,
+    plot_path: Path | None,
+    names: dict[str, Any],
+    *more_files: tuple[Path | None, Writer],
+    in_files: Any = None,
+) -> int:
+    """Print an answer and write its files; return 0, or the exit code of a failure.
+
+    Parameters
+    ----------
+    found : dcreg.answer.Answer
+    points : (source, target)
+    json_path, plot_path : Path, optional
+    names : dict
+        The clouds, as given, and further keys of the JSON.
+    *more_files
+        As in `write_outputs`.
+    in_files : dcreg.answer.Answer, optional
+        The answer with pairs that are rows of the files; default: `found`.
+    """
+    in_files = in_files or found
+    to_stdout = json_path == STDOUT
+    typer.echo(found, err=to_stdout)
+    if to_stdout:
+        typer.echo(in_files.to_json(**names))
+        json_path = None
+    shown = names["source"], names["target"]
+    return write_outputs(
+        dcreg.Status.OPTIMAL,
+        (json_path, partial(in_files.write_json, **names)),
+        (plot_path, lambda path: dcreg.plot_answer(*points, found, path, names=shown)),
+        *more_files,
+    )

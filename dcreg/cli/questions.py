@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import typer
 
 import dcreg
 from dcreg.cli import output
@@ -200,18 +197,7 @@ def _finish(
     *more_files: tuple[Path | None, output.Writer],
 ) -> int:
     """Print an answer and write its files; return 0, or the exit code of a failure."""
-    json_path, plot_path = files.json_path, files.plot_path
-    to_stdout = json_path == output.STDOUT
-    in_files = _in_files(found, clouds)
-    more: dict[str, Any] = {**names, **clouds.n_dropped}
-    typer.echo(found, err=to_stdout)
-    if to_stdout:
-        typer.echo(in_files.to_json(**more))
-        json_path = None
-    shown = names["source"], names["target"]
-    return output.write_outputs(
-        dcreg.Status.OPTIMAL,
-        (json_path, partial(in_files.write_json, **more)),
-        (plot_path, lambda path: dcreg.plot_answer(*points, found, path, names=shown)),
-        *more_files,
-    )
+    return output.write_answer(
+        found, points, files.json_path, files.plot_path, {**names, **clouds.n_dropped},
+        *more_files, in_files=_in_files(found, clouds),
+    )  # fmt: skip

@@ -27,7 +27,7 @@ def plot_answer(
     Parameters
     ----------
     source, target : (n, d) and (m, d) arrays, d = 2 or 3
-    answer : Certified, Alternatives or MaxInliers
+    answer : Certified, Alternatives, MaxInliers or Report
     path : str or Path
         The ``.html`` file to write.
     names : (str, str)

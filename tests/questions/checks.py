@@ -20,8 +20,8 @@ Checked = tuple[str, list[str]]
 
 
 def check_max_rms(number: int) -> Checked:
-    """Is there a pose with at most this residual? All matchings decide."""
-    one = small(number)
+    """Is there a pose with at most this residual, among all, in a range or of feasible pairs?"""
+    one = small(number, ("", "candidates", "range", "candidates")[number % 4])
     p, eps = one.problem, one.rounding()
     optimum = min(value for value, _ in one.fits())
     factor = (0.5, 0.9, 0.99, 1.01, 1.1, 2.0)[number // 3 % 6]
@@ -151,10 +151,7 @@ def _within(source: np.ndarray, target: np.ndarray, T: np.ndarray, distance: flo
 
 def check_range(number: int) -> Checked:
     """The best pose of a range: bounds on both sides of the optimum of all matchings."""
-    one = small(number, "range")
-    p = one.problem
-    found = dcreg.register(p.source, p.target, **one.keywords)
-    return found.status.value, _in_range(one, found)
+    return _check_register(small(number, "range"))
 
 
 def check_sweep(number: int) -> Checked:
@@ -167,18 +164,9 @@ def check_sweep(number: int) -> Checked:
     faults = [
         f"k={count}: {fault}"
         for count, result in zip(counts, found.results, strict=True)
-        for fault in _in_range(one.with_n_inliers(count), result)
+        for fault in _faults(one.with_n_inliers(count), result)
     ]
     return found.status.value, faults
-
-
-def _in_range(one: Small, found: dcreg.Result) -> list[str]:
-    """Compare a pose of a range and its bounds with the optimum of all matchings."""
-    assert one.problem.pose_range is not None
-    faults = _bounds(one, found)
-    if not one.problem.pose_range.contains(found.T_target_source):
-        faults.append(f"the pose {found.T_target_source.tolist()} is outside the range")
-    return faults
 
 
 def _bounds(one: Small, found: dcreg.Result) -> list[str]:
@@ -209,10 +197,42 @@ def check_candidates(number: int) -> Checked:
     return _check_register(small(number, "candidates"))
 
 
+def check_attributes(number: int) -> Checked:
+    """The best pose of points with attributes, some also with weights."""
+    return _check_register(small(number, "attributes"))
+
+
+def check_init(number: int) -> Checked:
+    """The best pose does not depend on an initial guess, here the fit to some matching or a rough one."""
+    one = small(number, ("", "candidates", "weights", "attributes")[number // 3 % 4])
+    p, fits = one.problem, one.fits()
+    rng = np.random.default_rng([12, number])
+    T = fits[int(rng.integers(len(fits)))][1].copy()
+    if number % 5 == 0:
+        T[:-1, -1] += rng.standard_normal(p.dim)
+    plain = dcreg.register(p.source, p.target, **one.keywords)
+    found = dcreg.register(
+        p.source, p.target, options=dcreg.SolveOptions(init=T), **one.keywords
+    )  # fmt: skip
+    faults = _faults(one, found)
+    most = plain.objective + max(plain.gap_tol, found.gap_tol) + one.rounding()
+    if plain.status is Status.OPTIMAL and found.objective > most:
+        faults.append(
+            f"objective {found.objective} with an initial guess, {plain.objective} without"
+        )
+    return found.status.value, faults
+
+
 def _check_register(one: Small) -> Checked:
-    """Compare a result with all matchings: its bounds, and the objective of its pairs."""
+    """Compare a result with all matchings."""
     p = one.problem
     found = dcreg.register(p.source, p.target, **one.keywords)
+    return found.status.value, _faults(one, found)
+
+
+def _faults(one: Small, found: dcreg.Result) -> list[str]:
+    """Compare bounds with all matchings, the objective with its pairs, and the pose with its limits."""
+    p = one.problem
     rows, columns = found.assignment.T
     faults = _bounds(one, found)
     if not len(rows) == len(set(rows)) == len(set(columns)) == p.n_inliers:
@@ -225,7 +245,9 @@ def _check_register(one: Small) -> Checked:
     low, high = p.scale_range
     if not low * (1 - 1e-9) <= scale_of(found.T_target_source) <= high * (1 + 1e-9):
         faults.append("the scale of the pose is outside the range")
-    return found.status.value, faults
+    if p.pose_range is not None and not p.pose_range.contains(found.T_target_source):
+        faults.append(f"the pose {found.T_target_source.tolist()} is outside the range")
+    return faults
 
 
 def check_covariance(number: int) -> Checked:
@@ -266,6 +288,8 @@ CHECKS: dict[str, Callable[[int], Checked]] = {
     "similarity3d": check_similarity3d,
     "weights": check_weights,
     "candidates": check_candidates,
+    "attributes": check_attributes,
+    "init": check_init,
     "covariance": check_covariance,
 }
 

@@ -10,22 +10,33 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.problem import Problem, apply_pose
+from dcreg.problem.geometry import fit_pose
 from tests.oracles.matchings import matchings
+from tests.questions.ranges import improved
 
 MODELS = ("similarity2d", "rigid3d")
 KINDS = ("general", "noisy copy", "symmetric", "collinear")
-RANGES_2D = ({"max_angle": 40.0}, {"max_angle": 0.0}, {"max_angle": 100.0})
-# Ranges for which `PoseRange.fit` is exact: its docstring says where it is not.
+RANGES_2D = (
+    {"max_angle": 40.0},
+    {"max_angle": 0.0},
+    {"max_angle": 100.0},
+    {"max_translation": 0.3},
+    {"max_angle": 60.0, "max_translation": 0.4},
+)
 RANGES_3D = (
     {"axis": (0.0, 0.0, 1.0)},
     {"axis": (1.0, 2.0, -1.0), "max_angle": 50.0},
     {"axis": (0.0, 1.0, 0.0), "max_angle": 120.0},
     {"max_angle": 0.0},
     {"max_angle": 0.0, "max_translation": 0.4},
+    {"max_angle": 70.0},
+    {"max_translation": 0.4},
+    {"max_angle": 40.0, "max_translation": 0.5},
+    {"axis": (1.0, 0.0, 1.0), "max_angle": 80.0, "max_translation": 0.3},
 )
 TIME_LIMIT = 2.0
 # What a problem can have in addition; each of them excludes the others.
-VARIANTS = ("range", "similarity3d", "weights", "candidates")
+VARIANTS = ("range", "similarity3d", "weights", "candidates", "attributes")
 Rows = list[int] | np.ndarray
 
 
@@ -37,6 +48,7 @@ class Small:
     kind: str
     problem: Problem
     weights: dcreg.PointWeights | None = None
+    attributes: dcreg.Attributes | None = None
 
     @property
     def keywords(self) -> dict[str, Any]:
@@ -44,6 +56,7 @@ class Small:
         p = self.problem
         given = {
             "pose_range": p.pose_range, "candidates": p.candidates, "weights": self.weights,
+            "attributes": self.attributes,
         }  # fmt: skip
         return {
             "n_inliers": p.n_inliers, "model": p.model, "time_limit": TIME_LIMIT,
@@ -56,16 +69,38 @@ class Small:
         return replace(self, problem=self.problem.with_n_inliers(count))
 
     def fits(self) -> list[tuple[float, np.ndarray]]:
-        """Return the best pose of every feasible matching with its objective for this matching."""
+        """Return a pose for every feasible matching, with its objective for this matching.
+
+        It is the best pose, except where `PoseRange.fit` is not exact: there, a matching whose best pose
+        of all poses is worse than the optimum of the range keeps the pose of `PoseRange.fit`.
+        """
         p = self.problem
-        found = []
+        found, best = [], np.inf
+        for free_value, rows, columns in self._matchings():
+            factors = () if p.weights is None else (p.weights.factors[rows, columns],)
+            x, y = p.source[rows], p.target[columns]
+            T = p.fit(x, y, *factors)
+            if p.pose_range is not None and free_value < best:
+                T = improved(p, T, x, y)
+            found.append((self.cost(T, rows, columns), T))
+            best = min(best, found[-1][0])
+        return found
+
+    def _matchings(self) -> list[tuple[float, Rows, Rows]]:
+        """Return rows and columns of the feasible matchings.
+
+        With a range of poses, they are ordered by their objective without the range.
+        """
+        p, found = self.problem, []
         for rows, columns in matchings(len(p.source), len(p.target), p.n_inliers):
             if p.candidates is not None and not p.candidates[rows, columns].all():
                 continue
-            factors = () if p.weights is None else (p.weights.factors[rows, columns],)
-            T = p.fit(p.source[rows], p.target[columns], *factors)
-            found.append((self.cost(T, rows, columns), T))
-        return found
+            value = 0.0
+            if p.pose_range is not None:
+                T = fit_pose(p.source[rows], p.target[columns], p.scale_range)
+                value = self.cost(T, rows, columns)
+            found.append((value, rows, columns))
+        return sorted(found, key=lambda one: one[0])
 
     def cost(self, T: np.ndarray, rows: Rows, columns: Rows) -> float:
         """Return the sum of the squared residuals of pairs, or of their weighted costs."""
@@ -109,7 +144,7 @@ def small(number: int, variant: str = "") -> Small:
     k = int(rng.integers(min(d, n, m), min(n, m) + 1))
     has_scale = model != "rigid3d" and rng.random() < 0.5
     scale_range = (0.5, 1.5) if has_scale else (1.0, 1.0)
-    pose_range = candidates = weights = None
+    pose_range = candidates = weights = attributes = None
     if variant == "range":
         ranges = RANGES_2D if d == 2 else RANGES_3D
         pose_range = dcreg.PoseRange(
@@ -118,10 +153,13 @@ def small(number: int, variant: str = "") -> Small:
     if variant == "candidates":
         candidates = rng.random((n, m)) < 0.6
         candidates[rng.permutation(n)[:k], rng.permutation(m)[:k]] = True  # one feasible matching
-    if variant == "weights":
+    if variant == "weights" or (variant == "attributes" and rng.random() < 0.3):
         weights = _weights(rng, n, m, k)
+    if variant == "attributes":
+        scale = float(rng.uniform(0.1, 1.0))
+        attributes = dcreg.Attributes(rng.random((n, 2)), rng.random((m, 2)), scale)
     problem = Problem(source, target, k, model, scale_range, candidates, pose_range, weights)
-    return Small(number, kind, problem, weights)
+    return Small(number, kind, problem.with_attributes(attributes), weights, attributes)
 
 
 def _weights(rng: np.random.Generator, n: int, m: int, k: int) -> dcreg.PointWeights:

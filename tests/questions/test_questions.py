@@ -7,8 +7,9 @@ import pytest
 from tests.questions.checks import CHECKS
 
 COUNTS = {
-    "max_rms": 16, "certify": 16, "alternatives": 13, "max_inliers": 16, "range": 16, "sweep": 8,
-    "similarity3d": 8, "weights": 12, "candidates": 12, "covariance": 9,
+    "max_rms": 16, "certify": 16, "alternatives": 13, "max_inliers": 16, "range": 12, "sweep": 8,
+    "similarity3d": 8, "weights": 12, "candidates": 12, "attributes": 8,
+    "init": 6, "covariance": 9,
 }  # fmt: skip
 OPEN = ("open", "at least", "interval", "time_limit", "converged")
 

@@ -9,7 +9,7 @@ import pytest
 
 import dcreg
 from workflows.disturb import make_instance
-from workflows.studies import answers
+from workflows.studies import answers, certifying
 from workflows.studies.proof import known_axis
 
 
@@ -50,3 +50,14 @@ def test_the_summary_counts_answers():
         {"question": "axis", "problems": 2, "closed": 1, "open": 1, "wrong": 1, "median_s": 2.0},
         {"question": "certify", "problems": 1, "closed": 0, "open": 1, "wrong": 0, "median_s": 2.0},
     ]
+
+
+def test_certify_is_compared_with_a_solve_of_the_same_problem():
+    raw = question("fish").raw
+    rows = certifying.compared(raw, 1, 5.0, 0.0)
+    assert [row["pose"] for row in rows] == list(certifying.POSES)
+    assert [row["verdict"] for row in rows][1:] == ["improvable", "improvable"]
+    assert all(row["ratio"] == row["least"] == row["most"] > 0.0 for row in rows)
+    table = certifying.summary(pd.DataFrame(rows))
+    assert table["problems"].tolist() == [1, 1, 1]
+    assert certifying.compared(raw, 1, 5.0, 1e3) == []  # solved too soon

@@ -1,6 +1,7 @@
 """Certificates: true ones are accepted, false ones refused with the reason."""
 
 import dataclasses
+import json
 import re
 
 import numpy as np
@@ -87,6 +88,34 @@ def test_result_is_verified_in_memory():
     assert report.lower_bound == pytest.approx(result.lower_bound, rel=1e-12)
     without = dcreg.register(source, target, **asked)
     assert "certificate=True" in dcreg.verify(without.certificate, source, target).reason
+
+
+@pytest.mark.parametrize(
+    ("model", "extra"), [("similarity2d", 1), ("rigid3d", 1), ("rigid3d", -1), ("translation3d", 1)]
+)
+def test_the_report_has_the_pose_of_the_certificate(model, extra, rng):
+    """Also if the target is the smaller cloud, which then moves in the check."""
+    dim = 2 if model == "similarity2d" else 3
+    source = rng.standard_normal((6, dim))
+    target = np.vstack([source[::-1], 2.0 * rng.standard_normal((2, dim))])[: 6 + extra] + 3.0
+    target += 0.01 * rng.standard_normal(target.shape)
+    result = dcreg.register(
+        source, target, n_inliers=5, model="similarity2d" if dim == 2 else "rigid3d",
+        options=dcreg.SolveOptions(
+            certificate=True, mode="paper" if model == "translation3d" else None
+        ),
+    )  # fmt: skip
+    report = dcreg.verify(result.certificate, source, target)
+    assert report.accepted, report.reason
+    assert report.model == model
+    if model == "translation3d":
+        assert report.poses == {}
+        return
+    (T,) = report.poses.values()
+    np.testing.assert_allclose(T, result.T_certified, atol=1e-9)
+    value, _ = dcreg.objective(source, target, T, 5)
+    assert value == pytest.approx(report.upper_bound)
+    assert json.loads(report.to_json())["T_target_source"] == T.tolist()
 
 
 def test_progress_ends_with_all_boxes_done(case):

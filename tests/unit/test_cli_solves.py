@@ -100,9 +100,19 @@ def test_written_certificate_is_verified_and_a_damaged_one_refused(tmp_path):
         accepted = run("verify", proof, a, b)
         assert accepted.exit_code == 0
         assert said in accepted.output
-    refused = run("verify", proof, b, a)
+    page = tmp_path / "page.html"
+    stated = run("verify", proof, a, b, "--json", "-", "--plot", page, "--quiet")
+    assert stated.exit_code == 0, stated.stderr
+    values = json.loads(stated.stdout)
+    assert (values["verdict"], values["source"], values["certificate"]) == ("proven", a, proof)
+    assert 0.0 < values["lower_bound"] <= values["upper_bound"]
+    assert values["statement"] in page.read_text("utf-8")
+    assert len(values["checks"]) == stated.stderr.count("ok: ")
+    refused = run("verify", proof, b, a, "--json", tmp_path / "no.json", "--plot", page)
     assert refused.exit_code == 5
     assert "rejected:" in refused.output
+    assert json.loads((tmp_path / "no.json").read_text())["verdict"] == "rejected"
+    assert "source: differs" in page.read_text("utf-8")
     whole = (tmp_path / "proof.npz").read_bytes()
     (tmp_path / "proof.npz").write_bytes(whole[: len(whole) // 2])
     assert run("verify", proof, a, b).exit_code == 5

@@ -652,7 +652,9 @@ def test_an_option_of_other_commands_is_refused_with_their_names(files, option, 
     ran = run("alternatives", "a.xyz", "b.xyz", "--model", "rigid3d", option)
     assert ran.exit_code == 2
     name = option.partition("=")[0]
-    assert f"error: {name}: not an option of `dcreg alternatives`; omit {name}, or use" in ran.output
+    assert (
+        f"error: {name}: not an option of `dcreg alternatives`; omit {name}, or use" in ran.output
+    )
     assert f"`dcreg {command}`" in ran.output
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from dcreg.problem import apply_pose
 from workflows.studies import questions
 from workflows.studies import refute as study
 
@@ -49,12 +50,15 @@ def test_the_summary_counts_answers_by_kind():
 
 
 def test_every_question_is_answered_about_one_pair(rng):
-    points, shift = rng.random((14, 3)), np.eye(4)
-    shift[:3, 3] = 1.0
-    answered = dict(
-        row[:2] for row in questions.answers((points, points + 1.0), np.eye(14) > 0, shift, 10.0)
-    )
+    points, T = rng.random((14, 3)), np.eye(4)
+    T[:3] = [[0.0, -1.0, 0.0, 1.0], [1.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]]
+    pair = (points, apply_pose(T, points))
+    answered = dict(questions.answers(questions.Asked(pair, T, np.arange(1.0, 15.0), 10.0)))
     assert answered["how many pairs are within 0.1 m?"].startswith("exactly 14 pairs")
-    assert answered["is the official pose optimal?"].startswith("optimal")
-    assert answered["do 14 pairs fit to 0.01 m (RMS)?"].startswith("optimal")
-    assert len(answered) == 8
+    assert answered["how many pairs to match, if the library chooses?"].startswith("14 (")
+    assert answered["is the official pose optimal?"].startswith("`optimal`")
+    assert answered["do *k* pairs fit to 0.01 m (RMS)?"].startswith("yes")
+    assert answered["which scale, if it is free (`similarity3d`)?"].startswith("1.000")
+    assert answered["does `verify` accept the proof file?"].startswith("`proven`")
+    table = questions.written(answered, answered, 14)
+    assert table.count("\n") == len(answered) + 2 == 16
