@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dcreg.problem import apply_pose, open_directions, pose_covariance
+from dcreg.problem import PoseRange, apply_pose, open_directions, pose_covariance
 from dcreg.result import Result
 
 
@@ -18,6 +18,7 @@ def with_uncertainty(
     *,
     has_scale: bool = False,
     surface: np.ndarray | None = None,
+    pose_range: PoseRange | None = None,
 ) -> Result:
     """Return the result with the covariance of its pose, and the directions that the clouds leave open.
 
@@ -31,12 +32,17 @@ def with_uncertainty(
         Whether the scale was free.
     surface : (k, d) array, optional
         Source points at the pose that are moved to find open directions; default: the matched ones.
+    pose_range : PoseRange, optional
+        The covariance is that of its free directions; open directions are those of all poses, and are
+        not tested.
     """
     pose, (rows, columns) = result.T_target_source, result.assignment.T
     matched = source[rows]
     moved = apply_pose(pose, matched) if surface is None else surface
-    return replace(
-        result,
-        covariance=pose_covariance(pose, matched, target[columns], weights, has_scale=has_scale),
-        open_directions=open_directions(moved, target, has_scale=has_scale),
+    covariance = pose_covariance(
+        pose, matched, target[columns], weights, has_scale=has_scale, pose_range=pose_range
     )
+    slides = None
+    if pose_range is None:
+        slides = open_directions(moved, target, has_scale=has_scale)
+    return replace(result, covariance=covariance, open_directions=slides)
