@@ -28,6 +28,7 @@ from dcreg.problem import (
     apply_pose,
     largest_matching,
 )
+from dcreg.questions.counting import count_search, has_count_search
 from dcreg.result import Result
 from dcreg.search import Budget
 from dcreg.status import Status
@@ -35,6 +36,7 @@ from dcreg.status import Status
 _MAX_PAIRS = 4_000_000  # point pairs; more do not fit into a dense matrix of distances
 _REFITS = 20
 _SHARE = 0.25  # of the time left, for one number of pairs; the last number gets the rest
+_BISECTING = 0.1  # of the time, before a search by bounds on the number of pairs
 
 
 @dataclass(frozen=True, repr=False)
@@ -184,13 +186,31 @@ class _Bisection:
         budget: Budget,
     ) -> None:
         self.problem, self.distance, self.limits = problem, distance, limits
-        self.options, self.budget = options, budget
+        self.options, self.whole = options, budget
+        self.is_bounded = has_count_search(problem, options)
+        self.budget = budget.sub_budget(_BISECTING) if self.is_bounded else budget
         self.best = np.eye(problem.dim + 1), np.empty((0, 2), np.int64)
         self.tried: list[tuple[int, str]] = []
 
     def run(self, most: int) -> MaxInliers:
-        """Halve the range of numbers that are neither reached nor refuted, then count its end down."""
-        refuted, unknown = most + 1, 0  # the smallest refuted number, the largest one not refuted
+        """Halve the range of numbers that are neither reached nor refuted, then search for more pairs."""
+        at_most = self._bisected(most) - 1
+        is_stopped = self.tried[-1][1] == Status.STOPPED.value
+        if self.is_bounded and self._is_open(at_most) and not (is_stopped or self.whole.is_over):
+            at_most = self._searched(at_most)
+        self.budget = self.whole
+        while self._is_open(at_most) and not self.whole.is_over:
+            if self._solve(at_most, share=1.0) is not Status.REFUTED:
+                break
+            at_most -= 1
+        T, pairs = self.best
+        return MaxInliers(
+            self.distance, len(pairs), at_most, most, T, pairs, self.tried, self.whole.elapsed()
+        )
+
+    def _bisected(self, most: int) -> int:
+        """Return the smallest number that is refuted."""
+        refuted, unknown = most + 1, 0  # and the largest one not refuted
         while refuted - unknown > 1 and not (self.tried and self.budget.is_over):
             k = most if not self.tried else (unknown + refuted) // 2
             status = self._solve(k)
@@ -201,15 +221,22 @@ class _Bisection:
             else:
                 unknown = k
             unknown = max(unknown, len(self.best[1]))
-        while self._is_open(refuted - 1) and not self.budget.is_over:
-            if self._solve(refuted - 1, share=1.0) is not Status.REFUTED:
-                break
-            refuted -= 1
-        T, pairs = self.best
-        return MaxInliers(
-            self.distance, len(pairs), refuted - 1, most, T, pairs, self.tried,
-            self.budget.elapsed(),
+        return refuted
+
+    def _searched(self, at_most: int) -> int:
+        """Search for more pairs than are known, by bounds on their number; return the most possible."""
+
+        def count(T: np.ndarray) -> int:
+            self._count(T)
+            return len(self.best[1])
+
+        proven = count_search(
+            self.problem, self.distance, (self.best[0], len(self.best[1])), at_most, count,
+            (self.limits, self.options), self.whole,
         )  # fmt: skip
+        if proven < at_most:
+            self.tried.append((proven + 1, Status.REFUTED.value))
+        return proven
 
     def _is_open(self, k: int) -> bool:
         """Whether it is not known if k pairs are too many, and more time may tell."""
