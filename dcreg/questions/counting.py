@@ -55,7 +55,8 @@ class CountBound(SpaceBound[Any]):
     ) -> None:
         super().__init__(space, roots, threads)
         self.kernel, self.reach, self.most = kernel, reach, most
-        self.count: Count = lambda _: 0
+        self.count: Count | None = None
+        self.start: np.ndarray = roots[0].centre
 
     @classmethod
     def of(cls, setup: Setup, budget: Budget, distance: float, most: int) -> CountBound:
@@ -87,9 +88,11 @@ class CountBound(SpaceBound[Any]):
         self.map_slices(len(boxes), work)
         found.lower_bounds[:] = np.maximum(self.most - counts, 0)
         found.values[:] = np.inf
-        best = int(counts.argmax()) if len(boxes) else 0
-        if self.space.admissible(found.thetas[best : best + 1]).any():
+        if self.count is not None and len(boxes):
+            best = int(counts.argmax())
             found.values[best] = self.most - self.count(found.thetas[best])
+            # the pose that is counted is kept elsewhere: near the centre, which may be inadmissible
+            found.thetas[best] = self.start
         return found
 
 
@@ -136,10 +139,10 @@ def count_search(
             with budget.clock.paused(), outer.clock.paused():
                 bound.evaluate(Boxes.of(bound.roots), None)
         bound.count = lambda theta: count(setup.frame.pose(space.pose(theta)))
-        start = space.parameter(setup.frame.normalised_pose(T)), most - known
+        bound.start = space.parameter(setup.frame.normalised_pose(T))
         found = branch_and_bound(
             bound, budget, branching=LongestEdge(space.axis_weights), tolerance=Tolerance(abs=0.5),
-            start=start, stage=STAGE,
+            start=(bound.start, most - known), stage=STAGE,
         )  # fmt: skip
     # bounds are whole numbers, up to the grid of the search
     return most - int(np.ceil(found.lower_bound - 1e-3))

@@ -16,6 +16,7 @@ import numpy as np
 
 from dcreg import text
 from dcreg.answer import Answer
+from dcreg.driver.auto import register_auto
 from dcreg.driver.options import Limits, SolveOptions, check_positive
 from dcreg.driver.solve import register_problem
 from dcreg.files import plain
@@ -35,8 +36,9 @@ from dcreg.status import Status
 
 _MAX_PAIRS = 4_000_000  # point pairs; more do not fit into a dense matrix of distances
 _REFITS = 20
+_BEYOND = 1.25  # distances up to which pairs are fitted as well, to bring them within one
 _SHARE = 0.25  # of the time left, for one number of pairs; the last number gets the rest
-_BISECTING = 0.1  # of the time, before a search by bounds on the number of pairs
+_FIRST = 0.1  # ... before a search by bounds on the number of pairs
 
 
 @dataclass(frozen=True, repr=False)
@@ -171,11 +173,11 @@ def max_inliers(
     limits = Limits(time_s=time_limit, max_rms=distance)
     limits.check(most)
     with Budget(time_limit) as budget:
-        return _Bisection(first, distance, limits, chosen, budget).run(most)
+        return _Search(first, distance, limits, chosen, budget).run(most)
 
 
-class _Bisection:
-    """The search for the smallest number of pairs that is refuted."""
+class _Search:
+    """The search for the largest number of pairs."""
 
     def __init__(
         self,
@@ -186,31 +188,28 @@ class _Bisection:
         budget: Budget,
     ) -> None:
         self.problem, self.distance, self.limits = problem, distance, limits
-        self.options, self.whole = options, budget
-        self.is_bounded = has_count_search(problem, options)
-        self.budget = budget.sub_budget(_BISECTING) if self.is_bounded else budget
+        self.options, self.budget = options, budget
         self.best = np.eye(problem.dim + 1), np.empty((0, 2), np.int64)
         self.tried: list[tuple[int, str]] = []
 
     def run(self, most: int) -> MaxInliers:
-        """Halve the range of numbers that are neither reached nor refuted, then search for more pairs."""
-        at_most = self._bisected(most) - 1
-        is_stopped = self.tried[-1][1] == Status.STOPPED.value
-        if self.is_bounded and self._is_open(at_most) and not (is_stopped or self.whole.is_over):
-            at_most = self._searched(at_most)
-        self.budget = self.whole
-        while self._is_open(at_most) and not self.whole.is_over:
-            if self._solve(at_most, share=1.0) is not Status.REFUTED:
-                break
-            at_most -= 1
+        """Search by bounds on the number of pairs, or, without such bounds, on sums of squares."""
+        if has_count_search(self.problem, self.options):
+            at_most = most - (self._solve(most, _FIRST) is Status.REFUTED)
+            is_stopped = self.tried[-1][1] == Status.STOPPED.value
+            if len(self.best[1]) < at_most and not (is_stopped or self.budget.is_over):
+                self._choose_pose()
+                at_most = self._searched(at_most)
+        else:
+            at_most = self._bisected(most)
         T, pairs = self.best
         return MaxInliers(
-            self.distance, len(pairs), at_most, most, T, pairs, self.tried, self.whole.elapsed()
+            self.distance, len(pairs), at_most, most, T, pairs, self.tried, self.budget.elapsed()
         )
 
     def _bisected(self, most: int) -> int:
-        """Return the smallest number that is refuted."""
-        refuted, unknown = most + 1, 0  # and the largest one not refuted
+        """Halve the range of numbers that are neither reached nor refuted, then count its end down."""
+        refuted, unknown = most + 1, 0  # the smallest refuted number, the largest one not refuted
         while refuted - unknown > 1 and not (self.tried and self.budget.is_over):
             k = most if not self.tried else (unknown + refuted) // 2
             status = self._solve(k)
@@ -221,18 +220,35 @@ class _Bisection:
             else:
                 unknown = k
             unknown = max(unknown, len(self.best[1]))
-        return refuted
+        while self._is_open(refuted - 1) and not self.budget.is_over:
+            if self._solve(refuted - 1, share=1.0) is not Status.REFUTED:
+                break
+            refuted -= 1
+        return refuted - 1
+
+    def _choose_pose(self) -> None:
+        """Count the pairs at the pose that fits best without a given number."""
+        left = self.budget.left()
+        limits = replace(
+            self.limits, max_rms=None, nodes=1, time_s=None if left is None else _FIRST * left
+        )
+        found = register_auto(self.problem, limits, self.options)
+        self.budget.clock.exclude(found.time_setup_s)
+        self._count(found.T_target_source)
 
     def _searched(self, at_most: int) -> int:
         """Search for more pairs than are known, by bounds on their number; return the most possible."""
 
         def count(T: np.ndarray) -> int:
-            self._count(T)
+            source = self.problem.source
+            self._count(
+                self.problem.fit(source, apply_pose(T, source))
+            )  # the nearest admissible pose
             return len(self.best[1])
 
         proven = count_search(
             self.problem, self.distance, (self.best[0], len(self.best[1])), at_most, count,
-            (self.limits, self.options), self.whole,
+            (self.limits, self.options), self.budget,
         )  # fmt: skip
         if proven < at_most:
             self.tried.append((proven + 1, Status.REFUTED.value))
@@ -262,16 +278,37 @@ class _Bisection:
         """Alternate the pairs within the distance and their pose while their number grows."""
         problem, known = self.problem, 0
         for _ in range(_REFITS):
-            moved = apply_pose(T, problem.source)
-            gaps = ((moved[:, None] - problem.target) ** 2).sum(axis=2)
-            within = gaps <= self.distance**2
-            if problem.candidates is not None:
-                within &= problem.candidates
-            columns = largest_matching(within)
-            rows = np.flatnonzero(columns >= 0)
-            if len(rows) > len(self.best[1]):
-                self.best = T, np.column_stack([rows, columns[rows]])
+            rows, columns = self._pairs(T, self.distance)
             if len(rows) <= known or not len(rows):
                 break
             known = len(rows)
-            T = problem.fit(problem.source[rows], problem.target[columns[rows]])
+            T = problem.fit(problem.source[rows], problem.target[columns])
+        if known >= max(1, len(self.best[1]) - 1):
+            self._balance(T)
+
+    def _balance(self, T: np.ndarray) -> None:
+        """Fit pairs slightly beyond the distance as well, with growing weights while they are beyond."""
+        problem = self.problem
+        rows, columns = self._pairs(T, _BEYOND * self.distance, is_kept=False)
+        weights = np.ones(len(rows), np.int64)
+        for _ in range(_REFITS):
+            repeated = np.repeat(np.arange(len(rows)), weights)
+            T = problem.fit(problem.source[rows[repeated]], problem.target[columns[repeated]])
+            self._pairs(T, self.distance)
+            gaps = apply_pose(T, problem.source[rows]) - problem.target[columns]
+            weights += (gaps**2).sum(axis=1) > self.distance**2
+
+    def _pairs(
+        self, T: np.ndarray, reach: float, *, is_kept: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the most pairs within a distance at a pose; it is kept if there are more than ever."""
+        problem = self.problem
+        gaps = ((apply_pose(T, problem.source)[:, None] - problem.target) ** 2).sum(axis=2)
+        within = gaps <= reach**2
+        if problem.candidates is not None:
+            within &= problem.candidates
+        columns = largest_matching(within)
+        rows = np.flatnonzero(columns >= 0)
+        if is_kept and len(rows) > len(self.best[1]):
+            self.best = T, np.column_stack([rows, columns[rows]])
+        return rows, columns[rows]

@@ -395,7 +395,7 @@ def test_the_time_limit_of_the_largest_number_excludes_preparation(monkeypatch):
         return replace(found, time_setup_s=found.time_setup_s + waited_s)
 
     monkeypatch.setattr(inliers, "register_problem", compiling)
-    target = np.vstack([TARGET[:19], [[9.0, 9.0, 9.0]]])
+    target = np.vstack([TARGET[:15], RNG.standard_normal((5, 3)) + 5.0])
     found = dcreg.max_inliers(SOURCE, target, distance=0.05, model="rigid3d", time_limit=waited_s)
     assert len(found.tried) > 1
     assert found.time_s < waited_s * len(found.tried)
