@@ -8,6 +8,7 @@ bisection. Poses found on the way, and fits to their pairs within d, give the nu
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -36,6 +37,7 @@ from dcreg.status import Status
 
 _MAX_PAIRS = 4_000_000  # point pairs; more do not fit into a dense matrix of distances
 _REFITS = 20
+_LOCAL_EVERY = 16  # rounds of boxes with one local search
 _BEYOND = 1.25  # distances up to which pairs are fitted as well, to bring them within one
 _SHARE = 0.25  # of the time left, for one number of pairs; the last number gets the rest
 _FIRST = 0.1  # ... before a search by bounds on the number of pairs
@@ -238,12 +240,17 @@ class _Search:
 
     def _searched(self, at_most: int) -> int:
         """Search for more pairs than are known, by bounds on their number; return the most possible."""
+        if len(self.best[1]) == at_most:
+            return at_most
+
+        source, rounds = self.problem.source, itertools.count()
 
         def count(T: np.ndarray) -> int:
-            source = self.problem.source
-            self._count(
-                self.problem.fit(source, apply_pose(T, source))
-            )  # the nearest admissible pose
+            T = self.problem.fit(source, apply_pose(T, source))  # the nearest admissible pose
+            if next(rounds) % _LOCAL_EVERY == 0:
+                self._count(T)
+            else:
+                self._pairs(T, self.distance)
             return len(self.best[1])
 
         proven = count_search(
