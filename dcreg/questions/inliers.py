@@ -1,9 +1,12 @@
 """How many pairs fit at most? Bounds on the number of pairs within a distance.
 
-If k pairs lie within a distance d at some pose, the minimum E_k of the sum of k squared residuals is at
-most k d^2. E_k / k does not decrease with k, because the k - 1 cheapest of k pairs have at most the same
-mean. So if E_k > k d^2 is proven, no pose has k or more pairs within d. The smallest such k is found by
-bisection. Poses found on the way, and fits to their pairs within d, give the number that is reached.
+In most models, `dcreg.questions.counting` bounds the number over boxes of poses. In others, sums of
+squares give bounds: if k pairs lie within a distance d at some pose, the minimum E_k of the sum of k
+squared residuals is at most k d^2. E_k / k does not decrease with k, because the k - 1 cheapest of k
+pairs have at most the same mean. So if E_k > k d^2 is proven, no pose has k or more pairs within d. The
+smallest such k is found by bisection.
+
+Poses found on the way, and fits to their pairs within d, give the number that is reached.
 """
 
 from __future__ import annotations
@@ -126,9 +129,9 @@ def max_inliers(
     """Bound the largest number of one-to-one pairs that a pose can bring within a distance.
 
     The lower bound is the number of pairs at the best pose found. No pose has more pairs than the upper
-    bound, which a search has proven or which is the largest number that the points allow. The proof uses
-    sums of squares, so the upper bound is not tight if the residuals of further pairs are only a little
-    above `distance`.
+    bound, which a search has proven or which is the largest number that the points allow. The search
+    ends when both agree. For ``similarity3d``, the proof uses sums of squares, so the upper bound is not
+    tight if the residuals of further pairs are only a little above `distance`.
 
     Parameters
     ----------
