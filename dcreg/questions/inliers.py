@@ -1,10 +1,10 @@
 """How many pairs fit at most? Bounds on the number of pairs within a distance.
 
-In most models, `dcreg.questions.counting` bounds the number over boxes of poses. In others, sums of
-squares give bounds: if k pairs lie within a distance d at some pose, the minimum E_k of the sum of k
-squared residuals is at most k d^2. E_k / k does not decrease with k, because the k - 1 cheapest of k
-pairs have at most the same mean. So if E_k > k d^2 is proven, no pose has k or more pairs within d. The
-smallest such k is found by bisection.
+Sums of squares give bounds: if k pairs lie within a distance d at some pose, the minimum E_k of the sum
+of k squared residuals is at most k d^2. E_k / k does not decrease with k, because the k - 1 cheapest of
+k pairs have at most the same mean. So if E_k > k d^2 is proven, no pose has k or more pairs within d. The
+smallest such k is found by bisection. In most models, this takes a part of the time, and
+`dcreg.questions.counting` then bounds the number itself over boxes of poses.
 
 Poses found on the way, and fits to their pairs within d, give the number that is reached.
 """
@@ -43,7 +43,8 @@ _REFITS = 20
 _LOCAL_EVERY = 16  # rounds of boxes with one local search
 _BEYOND = 1.25  # distances up to which pairs are fitted as well, to bring them within one
 _SHARE = 0.25  # of the time left, for one number of pairs; the last number gets the rest
-_FIRST = 0.1  # ... before a search by bounds on the number of pairs
+# ... and for all of them before a search by bounds on the number, and for the choice of a pose between
+_BISECTING, _CHOOSING = 0.2, 0.1
 
 
 @dataclass(frozen=True, repr=False)
@@ -198,15 +199,15 @@ class _Search:
         self.tried: list[tuple[int, str]] = []
 
     def run(self, most: int) -> MaxInliers:
-        """Search by bounds on the number of pairs, or, without such bounds, on sums of squares."""
-        if has_count_search(self.problem, self.options):
-            at_most = most - (self._solve(most, _FIRST) is Status.REFUTED)
-            is_stopped = self.tried[-1][1] == Status.STOPPED.value
-            if len(self.best[1]) < at_most and not (is_stopped or self.budget.is_over):
-                self._choose_pose()
-                at_most = self._searched(at_most)
-        else:
-            at_most = self._bisected(most)
+        """Search by bounds on sums of squares, then, where there are some, on the number of pairs."""
+        whole, is_bounded = self.budget, has_count_search(self.problem, self.options)
+        self.budget = whole.sub_budget(_BISECTING) if is_bounded else whole
+        at_most = self._bisected(most)
+        self.budget, is_stopped = whole, self.tried[-1][1] == Status.STOPPED.value
+        if is_bounded and not (is_stopped or self.budget.is_over):
+            if len(self.best[1]) < at_most:
+                self._choose_poses()
+            at_most = self._searched(at_most)
         T, pairs = self.best
         return MaxInliers(
             self.distance, len(pairs), at_most, most, T, pairs, self.tried, self.budget.elapsed()
@@ -231,15 +232,25 @@ class _Search:
             refuted -= 1
         return refuted - 1
 
-    def _choose_pose(self) -> None:
-        """Count the pairs at the pose that fits best without a given number."""
-        left = self.budget.left()
-        limits = replace(
-            self.limits, max_rms=None, nodes=1, time_s=None if left is None else _FIRST * left
-        )
+    def _choose_poses(self) -> None:
+        """Count the pairs at poses that fit best: without a given number, and for one more than known."""
+        most, known = self.problem.max_n_inliers, -1
+        limits = replace(self.limits, max_rms=None, nodes=1, time_s=self._share_of_left(_CHOOSING))
         found = register_auto(self.problem, limits, self.options)
-        self.budget.clock.exclude(found.time_setup_s)
-        self._count(found.T_target_source)
+        while True:
+            self.budget.clock.exclude(found.time_setup_s)
+            self._count(found.T_target_source)
+            if not known < len(self.best[1]) < most or self.budget.is_over:
+                break
+            known = len(self.best[1])
+            limits = replace(self.limits, nodes=1, time_s=self._share_of_left(_CHOOSING))
+            problem = self.problem.with_n_inliers(known + 1)
+            found = register_problem(problem, limits, self.options)
+
+    def _share_of_left(self, share: float) -> float | None:
+        """Return a share of the time left, in seconds."""
+        left = self.budget.left()
+        return None if left is None else max(0.05, share * left)
 
     def _searched(self, at_most: int) -> int:
         """Search for more pairs than are known, by bounds on their number; return the most possible."""
@@ -270,10 +281,9 @@ class _Search:
 
     def _solve(self, k: int, share: float = _SHARE) -> Status:
         """Decide whether k pairs can have an RMS residual of the distance; count at the pose found."""
-        left = self.budget.left()
-        limit = None if left is None else max(0.05, share * left)
         found: Result = register_problem(
-            self.problem.with_n_inliers(k), replace(self.limits, time_s=limit),
+            self.problem.with_n_inliers(k),
+            replace(self.limits, time_s=self._share_of_left(share)),
             replace(self.options, prove=True),
         )  # fmt: skip
         # as in other searches, the time limit does not include compilation
