@@ -14,6 +14,7 @@ of the stationary poses of k pairs, extended by d on all sides.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -34,6 +35,7 @@ from dcreg.search import (
     Budget,
     Evaluation,
     Event,
+    Interrupted,
     LongestEdge,
     Tolerance,
     branch_and_bound,
@@ -136,7 +138,7 @@ def count_search(
         bound = CountBound.of(setup, budget, distance, most)
         space = bound.space
         if not is_compiled(bound.kernel):
-            with budget.clock.paused(), outer.clock.paused():
+            with budget.clock.paused(), outer.clock.paused(), suppress(Interrupted):
                 bound.evaluate(Boxes.of(bound.roots), None)
         bound.count = lambda theta: count(setup.frame.pose(space.pose(theta)))
         bound.start = space.parameter(setup.frame.normalised_pose(T))

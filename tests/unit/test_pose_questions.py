@@ -13,12 +13,13 @@ import dcreg
 from dcreg.cli import commands
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Setup
+from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem import Problem, apply_pose, largest_matching
 from dcreg.questions import inliers
 from dcreg.questions.certify import _percent_above
 from dcreg.questions.counting import CountBound
 from dcreg.result_parts import Stage
-from dcreg.search import Boxes, Budget
+from dcreg.search import Boxes, Budget, Interrupted
 from dcreg.status import Status
 from tests.results import run
 
@@ -348,6 +349,19 @@ def test_ranges_hold_for_samples_and_all_points(angle):
     assert pose_range.checked(source, (1.0, 1.0)).contains(found.T_target_source)
     right = Rotation.from_matrix(found.rotation @ TURN.T).magnitude() < 0.05
     assert right == (angle == 90.0)
+
+
+def test_feasible_pairs_are_refuted_even_if_no_time_is_left_for_a_pose(monkeypatch):
+    def no_time(self, budget):
+        raise Interrupted
+
+    monkeypatch.setattr(Rigid3D, "starts", no_time)
+    found = dcreg.register(
+        SOURCE, 3.0 * SOURCE, n_inliers=10, model="rigid3d", candidates=np.eye(20, dtype=bool),
+        max_rms=0.01,
+    )  # fmt: skip
+    assert found.status is Status.REFUTED
+    assert found.stages[0].name == "feasible pairs"
 
 
 def test_largest_number_of_pairs_is_bracketed():
