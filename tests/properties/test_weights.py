@@ -245,6 +245,24 @@ def test_a_sweep_encloses_the_weighted_optima(seed):
         assert result.certificate_scope == "similarity pose, weighted points"
 
 
+def test_a_sweep_suggests_a_number_by_residuals_without_weights():
+    """The costs of pairs of low weight are nearly constant, so they show no increase."""
+    generator = np.random.default_rng(5)
+    x = generator.random((24, 2))
+    y = x + 0.01 * generator.standard_normal((24, 2))
+    y[16:] = generator.random((8, 2))
+    weights = PointWeights(source=generator.uniform(0.2, 1.0, 24), distance=0.05)
+    found = dcreg.sweep(
+        x, y, [12, 14, 16, 17, 18, 20], model="similarity2d", weights=weights, node_limit=50
+    )
+    for result, residual in zip(found.results, found.residuals, strict=True):
+        rows, columns = result.assignment.T
+        moved = apply_pose(result.T_target_source, x[rows])
+        assert residual == pytest.approx(np.sqrt(((moved - y[columns]) ** 2).sum(axis=1).mean()))
+    assert found.suggested_n_inliers == 16
+    assert dcreg.SweepResult(found.results, found.proven_by).suggested_n_inliers != 16
+
+
 def test_a_sweep_needs_a_distance_for_its_smallest_number():
     weights = PointWeights(np.arange(1.0, 7.0))
     with pytest.raises(InputError, match=r"n_inliers=4 of 6 source .* give distance"):
