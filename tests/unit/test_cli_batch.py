@@ -256,6 +256,18 @@ def test_a_folder_without_a_table_holds_consecutive_scans(table, solved):
     assert found == [("1", "0"), ("2", "1")]
 
 
+def test_the_files_of_options_are_no_clouds(table, solved):
+    """They may lie in the folder; a superscript is no number in a name."""
+    folder = table.parent
+    table.unlink()
+    (folder / "0.txt").rename(folder / "\N{SUPERSCRIPT TWO}0.txt")
+    np.savetxt(folder / "pose.txt", np.eye(4))
+    np.savetxt(folder / "candidates.txt", np.tile(np.arange(10), (2, 1)).T, "%d")
+    options = "--init", folder / "pose.txt", "--candidates", folder / "candidates.txt"
+    assert folder_call(folder, *options).exit_code == 0
+    assert len(solved) == 2
+
+
 def test_the_table_of_a_folder_names_its_pairs(table, solved):
     assert folder_call(table.parent).exit_code == 0
     assert [task.n_inliers for task in solved] == ["0.9", "8"]
