@@ -295,6 +295,27 @@ def test_certify_judges_by_weighted_costs(dim):
     assert "RMS residual" in str(found)
 
 
+def test_certify_does_not_prove_a_pose_by_the_constant_part_of_the_costs():
+    """The weights alone cost 3.5, so 1 % of the objective is more than the rough pose loses."""
+    x = np.random.default_rng(0).random((8, 2))
+    weights, rough = PointWeights(source=1.0 + np.arange(8.0), distance=1.0), np.eye(3)
+    rough[0, 2] = 0.02
+    for pose, y, rel_gap, verdict in (
+        (rough, x, 0.01, "open"),
+        (rough, x, 1e-4, "improvable"),
+        (np.eye(3), x, 0.01, "optimal"),
+        (np.eye(3), x + 0.5 * np.eye(8, 2), 1e-4, "improvable"),
+    ):
+        found = dcreg.certify(
+            x, y, pose, n_inliers=8, model="similarity2d", weights=weights, rel_gap=rel_gap
+        )
+        assert found.verdict == verdict
+        assert found.constant_cost == pytest.approx(3.5)
+        assert "RMS residual" not in dict(found.entries())["objective"]
+        is_about_weights = "about residuals" in dict(found.entries())["lower bound"]
+        assert is_about_weights == (pose is rough)
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_weights_and_candidates_hold_together(dim):
     x, y, _, _ = weighted_problem(0, dim)
