@@ -13,7 +13,7 @@ from dcreg import text
 from dcreg.certificate.format import Certificate
 from dcreg.certificate.format import write as write_certificate
 from dcreg.files import Document, plain
-from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED, WITHIN_TOLERANCE
+from dcreg.names import MAX_RMS_MET, MAX_RMS_SLACK, NO_PROOF_EXPECTED, WITHIN_TOLERANCE
 from dcreg.problem import InputError, OpenDirection, rotation_angle_deg, scale_of
 from dcreg.result_parts import (
     ChosenNumber,
@@ -174,7 +174,7 @@ class Result(Document):
     @property
     def _misses_max_rms(self) -> bool:
         """Whether the residual of the pairs exceeds `max_rms` by more than rounding."""
-        return self.max_rms is not None and self.rmse_matched > self.max_rms * (1.0 + 1e-9)
+        return self.max_rms is not None and self.rmse_matched > self.max_rms * (1.0 + MAX_RMS_SLACK)
 
     @property
     def n_bounded(self) -> int:

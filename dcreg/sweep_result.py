@@ -38,10 +38,14 @@ class SweepResult(Document):
     proven_by : list of int or None
         The number of pairs of the search that proved the `lower_bound` of each result; None if no search
         was needed because 0 is a lower bound.
+    residuals : list of float, optional
+        With weights, the RMS residuals of the returned pairs, which `rmse_matched` of the results
+        replaces by weighted costs; None without weights.
     """
 
     results: list[Result]
     proven_by: list[int | None]
+    residuals: list[float] | None = None
 
     @property
     def status(self) -> Status:
@@ -53,13 +57,14 @@ class SweepResult(Document):
         """The number of pairs with the minimum fractional RMSE of the final pose: not proven.
 
         The fractional RMSE is the RMSE divided by the cube of the number of pairs (after Phillips, Liu
-        and Tomasi 2007). Results with a warning about too many or too few pairs are excluded. None if the
-        minimum is at an end of the sweep, or if the time limit made the choice of pairs greedy.
+        and Tomasi 2007), without weights and attributes. Results with a warning about too many or too few
+        pairs are excluded. None if the minimum is at an end of the sweep, or if the time limit made the
+        choice of pairs greedy.
         """
         if any(result.is_greedy for result in self.results):
             return None
         k = np.array([r.n_inliers for r in self.results], dtype=float)
-        rmse = np.array([r.rmse_matched for r in self.results])
+        rmse = np.array(self.residuals or [r.rmse_matched for r in self.results])
         last = self.results[-1]
         floor = _ROUNDING * np.sqrt(last.gap_tol / last.n_bounded)
         fraction = np.maximum(rmse, floor) / k**_FRACTION_POWER
@@ -84,10 +89,10 @@ class SweepResult(Document):
         """Return one row of plain numbers for each number of pairs, for tables and figures.
 
         ``rms_lower`` and ``rms`` enclose the RMS residual at the optimum: they are the square roots of
-        the bounds per pair. ``marginal_cost`` is the mean increase of the upper bound per additional pair
-        up to the next row; ``marginal_cost_lower`` and ``marginal_cost_upper`` enclose that of
-        the optimum. ``rmse_matched`` refers to the final pose; in 3D mode ``paper`` the others refer to
-        norms.
+        the bounds per pair. With weights or attributes, the bounds are those of costs. ``marginal_cost``
+        is the mean increase of the upper bound per additional pair up to the next row;
+        ``marginal_cost_lower`` and ``marginal_cost_upper`` enclose that of the optimum. ``rmse_matched``
+        refers to the final pose; in 3D mode ``paper`` the others refer to norms.
         """
         following: list[Result | None] = [*self.results[1:], None]
         return list(starmap(_row, zip(self.results, following, self.proven_by, strict=True)))

@@ -96,7 +96,17 @@ def weighted_objective(problem: Problem, T_target_source: np.ndarray) -> tuple[f
     """Return the minimum cost of one-to-one pairs of weighted points at a pose, and the pairs."""
     assert problem.weights is not None
     moved = apply_pose(T_target_source, problem.source)
-    cost = problem.weights.costs(((moved[:, None] - problem.target[None]) ** 2).sum(axis=-1))
+    squares = ((moved[:, None] - problem.target[None]) ** 2).sum(axis=-1)
+    return _cheapest(problem, problem.weights.costs(squares))
+
+
+def constant_cost(problem: Problem) -> float:
+    """Return the minimum over all matchings of what weights and attributes cost at every pose."""
+    return 0.0 if problem.weights is None else _cheapest(problem, problem.weights.extra.copy())[0]
+
+
+def _cheapest(problem: Problem, cost: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the minimum cost of one-to-one feasible pairs, and the pairs; overwrites `cost`."""
     if problem.candidates is not None:
         cost[~problem.candidates] = 1.0 + problem.n_inliers * cost.max()
     value, col_of = k_assignment(cost, problem.n_inliers)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-import re
 from collections.abc import Callable
 from dataclasses import is_dataclass
 from functools import partial
@@ -20,7 +19,7 @@ import dcreg
 from dcreg.cli import output
 from dcreg.cli.interrupts import Interrupt, leave
 from dcreg.cli.numbers import parse_count
-from dcreg.cli.options import ARGUMENTS, flag, parameters_of
+from dcreg.cli.options import ARGUMENTS, flag, parameters_of, with_options
 
 # In the order of the help.
 ORDER = (
@@ -103,9 +102,8 @@ def command(function: Callable[..., int]) -> Callable[..., int]:
         try:
             code = function(**given)
         except dcreg.InputError as error:
-            poses = given.get("poses")
-            ranges = {"pose_range": poses.limits} if poses and poses.limits else {}
-            output.print_error(_with_options(str(error), options | ranges))
+            ranges = given["poses"].names if "poses" in given else {}
+            output.print_error(with_options(str(error), options | ranges))
             code = output.EXIT_INPUT
         raise typer.Exit(code)
 
@@ -114,18 +112,6 @@ def command(function: Callable[..., int]) -> Callable[..., int]:
     about, *_ = (inspect.getdoc(function) or "").split("\n\nParameters\n")
     app.command(help=about, cls=OneCommand)(run)
     return function
-
-
-def _with_options(message: str, options: dict[str, str]) -> str:
-    """Return a message of the library, which names arguments, with the options instead.
-
-    It begins with the name of an argument. Further on, only names with an underscore differ from words.
-    """
-    name, colon, rest = message.partition(":")
-    for each, option in options.items():
-        if "_" in each:
-            rest = re.sub(rf"(?<![\w./'\"-]){each}(?![\w./='\"(])", option, rest)
-    return f"{options.get(name, name)}{colon}{rest}"
 
 
 def run_search(

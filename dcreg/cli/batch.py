@@ -106,7 +106,8 @@ class Batch:
     def _pairs_of_folder(self, out: Path) -> list[Row]:
         """Return the pairs of a folder without a table."""
         parse_count_or_auto(self.goal.n_inliers)
-        pairs = pairs_of_folder(self.pairs, out)
+        others = out, self.search.candidates_path, self.poses.init
+        pairs = pairs_of_folder(self.pairs, others)
         return [{**pair, "n_inliers": self.goal.n_inliers} for pair in pairs]
 
     def _names(self) -> list[Row]:

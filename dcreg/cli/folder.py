@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import dcreg
@@ -13,7 +14,7 @@ TABLE = "pairs.csv"  # the table of a folder
 ENDS = "_source", "_target"  # of the names of the files of a pair
 
 
-def pairs_of_folder(folder: Path, out: Path) -> list[dict[str, str]]:
+def pairs_of_folder(folder: Path, others: Iterable[Path | str | None]) -> list[dict[str, str]]:
     """Return the pairs of NAME_source and NAME_target; without these, each file and the one before it.
 
     The poses of consecutive scans then map each scan to the one before it.
@@ -21,8 +22,8 @@ def pairs_of_folder(folder: Path, out: Path) -> list[dict[str, str]]:
     Parameters
     ----------
     folder : Path
-    out : Path
-        The table of results. It may lie in the folder, and is no cloud.
+    others : iterable of Path or str, optional
+        The files of the options. They may lie in the folder, and are no clouds.
 
     Returns
     -------
@@ -33,12 +34,13 @@ def pairs_of_folder(folder: Path, out: Path) -> list[dict[str, str]]:
     ------
     InputError
     """
+    no_clouds = {Path(other).resolve() for other in others if other is not None}
     clouds = [
         path
         for path in folder.iterdir()
         if path.suffix.lower() in READ_SUFFIXES
         and not path.name.startswith(".")
-        and path.resolve() != out.resolve()
+        and path.resolve() not in no_clouds
     ]
     clouds.sort(key=lambda path: in_order(path.name))
     sources, targets = (_by_name(folder, clouds, end) for end in ENDS)
@@ -76,6 +78,4 @@ def _ambiguous(folder: Path, message: str) -> dcreg.InputError:
 
 def in_order(name: str) -> list[tuple[int, str]]:
     """Return a key that sorts numbers by value: scan2 comes before scan10."""
-    return [
-        (int(part or 0), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name)
-    ]
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]

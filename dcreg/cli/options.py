@@ -57,6 +57,18 @@ def flag(name: str) -> str:
     return f"--{name.removesuffix('_path').replace('_', '-')}"
 
 
+def with_options(message: str, options: dict[str, str]) -> str:
+    """Return a message of the library, which names arguments, with the options instead.
+
+    It begins with the name of an argument. Further on, only names with an underscore differ from words.
+    """
+    name, colon, rest = message.partition(":")
+    for each, option in options.items():
+        if "_" in each:
+            rest = re.sub(rf"(?<![\w./'\"-]){each}(?![\w./='\"(])", option, rest)
+    return f"{options.get(name, name)}{colon}{rest}"
+
+
 def parameters_of(owner: Any) -> Iterator[inspect.Parameter]:
     """Yield the parameters of a command or a group, annotated for Typer; a group gives its fields."""
     owners = reversed(inspect.getmro(owner)) if inspect.isclass(owner) else [owner]
@@ -304,6 +316,11 @@ class Poses:
         """The options that restrict the poses, if any is given, for messages."""
         changed = [name for name in self.LIMITS if getattr(self, name) != getattr(Poses, name)]
         return " and ".join(self.LIMITS[name] for name in changed)
+
+    @property
+    def names(self) -> dict[str, str]:
+        """The options that give the argument `pose_range` of the library, for messages."""
+        return {"pose_range": self.limits} if self.limits else {}
 
     def settings(self) -> tuple[dcreg.PoseRange | None, np.ndarray | None]:
         """Return the range of poses, if it is restricted, and the initial guess."""

@@ -10,15 +10,16 @@ import numpy as np
 
 import dcreg
 from dcreg.cli.numbers import parse_count_or_auto
-from dcreg.cli.options import CloudFiles, Poses, Search, flag
-from dcreg.names import MODEL_DIM
+from dcreg.cli.options import CloudFiles, Goal, Poses, Search, flag, with_options
+from dcreg.names import MAX_RMS_SLACK, MODEL_DIM
 
 # The text of each column of a table of results.
 Row = dict[str, str]
+# The options of the arguments of the library, for messages.
 _OPTIONS = {
-    "n_inliers",
-    "max_rms",
-    *(each.name for group in (Search, Poses) for each in fields(group)),
+    each.name.removesuffix("_path"): flag(each.name)
+    for group in (Goal, Search, Poses)
+    for each in fields(group)
 }
 _NUMBERS = ("n_inliers", "objective", "rmse_matched", "lower_bound", "upper_bound")
 
@@ -69,8 +70,7 @@ def solve(task: Task) -> Row:
     try:
         row = _solved(task)
     except dcreg.InputError as error:
-        name, colon, rest = str(error).partition(":")
-        row = failed(f"{flag(name) if name in _OPTIONS else name}{colon}{rest}")
+        row = failed(with_options(str(error), _OPTIONS | task.poses.names))
     except Exception as error:
         row = failed(f"{type(error).__name__}: {error}")
     return {**row, "time_s": f"{time.perf_counter() - began:.3f}"}
@@ -85,7 +85,9 @@ def is_matched(row: Row, max_rms: float | None) -> bool:
     """Tell whether a row has a pose whose RMS residual is at most `max_rms`, if that is given."""
     if row["status"] == dcreg.Status.FAILED.value:
         return False
-    return max_rms is None or float(row["rmse_matched"]) <= max_rms
+    if max_rms is None or row["status"] == dcreg.Status.OPTIMAL.value:
+        return True
+    return float(row["rmse_matched"]) <= max_rms * (1.0 + MAX_RMS_SLACK)
 
 
 def answer_of(row: Row, max_rms: float | None) -> str:

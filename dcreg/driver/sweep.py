@@ -43,7 +43,7 @@ from dcreg.driver.modes import (
 from dcreg.driver.normalised import NormalisedProblem, Solution
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Finish, Setup
-from dcreg.problem import InputError, Problem
+from dcreg.problem import InputError, Problem, apply_pose
 from dcreg.result import Result, Stage
 from dcreg.search import Budget, Event, Interrupted, Start, Tolerance
 from dcreg.status import Status
@@ -73,7 +73,17 @@ def sweep_problems(
         solve.incumbents()
         solve.bounds()
         results = solve.results()
-    return SweepResult(results, [level.proven_by for level in solve.levels])
+    residuals = None
+    if setup.problems[0].weights is not None:
+        residuals = list(map(_residual, setup.problems, results))
+    return SweepResult(results, [level.proven_by for level in solve.levels], residuals)
+
+
+def _residual(problem: Problem, result: Result) -> float:
+    """Return the RMS residual of the returned pairs, without weights."""
+    rows, columns = result.assignment.T
+    moved = apply_pose(result.T_target_source, problem.source[rows])
+    return float(np.sqrt(((moved - problem.target[columns]) ** 2).sum(axis=1).mean()))
 
 
 @dataclass

@@ -11,7 +11,7 @@ import numpy as np
 
 from dcreg import text
 from dcreg.answer import Answer
-from dcreg.assignment.objective import is_large, objective, weighted_objective
+from dcreg.assignment.objective import constant_cost, is_large, objective, weighted_objective
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import exact_value, register_problem
 from dcreg.files import plain
@@ -47,7 +47,7 @@ class Certified(Answer):
     Attributes
     ----------
     verdict : str
-        ``optimal``: proven up to the tolerance, by a lower bound above 0 or an exact fit.
+        ``optimal``: proven up to the tolerance, by a lower bound above `constant_cost` or an exact fit.
         ``improvable``: the pose of `result` is better by more than a tenth of the tolerance. ``open``:
         neither.
     T_target_source : (d+1, d+1) array
@@ -65,6 +65,8 @@ class Certified(Answer):
         Angle of the rotation between them.
     result : Result
         The result of the search, which started from the given pose.
+    constant_cost : float
+        The minimum over all matchings of what weights and attributes cost at every pose; 0 without them.
     """
 
     verdict: str
@@ -75,6 +77,7 @@ class Certified(Answer):
     displacement: float
     angle_deg: float
     result: Result
+    constant_cost: float = 0.0
 
     question = "given pose"
 
@@ -97,7 +100,7 @@ class Certified(Answer):
         """Return plain values for JSON."""
         names = (
             "verdict", "T_target_source", "objective", "lower_bound", "max_improvement", "gap_tol",
-            "displacement", "angle_deg",
+            "displacement", "angle_deg", "constant_cost",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "result": self.result.to_dict()})
@@ -107,13 +110,19 @@ class Certified(Answer):
         k = self.result.n_inliers
         yield "given pose", self.answer
         pairs, rms = text.count(k, "pair"), np.sqrt(self.objective / k)
-        # with attributes, the objective is more than residuals
-        about = f"RMS residual {rms:.6g} over " if self.result.attribute_cost is None else ""
+        # the objective can be more than residuals
+        is_plain = self.result.attribute_cost is None and self.constant_cost == 0.0
+        about = f"RMS residual {rms:.6g} over " if is_plain else ""
         yield "objective", f"{self.objective:.6g} ({about}{pairs})"
         share = self.max_improvement / self.objective if self.objective > 0.0 else 0.0
         meaning = f"no pose lowers the objective by more than {_percent_above(share)}"
         if share == 1.0:
             meaning = "nothing is proven, because every sum of squares is at least 0"
+        elif self.verdict != OPTIMAL and _is_trivial(self.lower_bound, self.constant_cost):
+            meaning = (
+                "nothing is proven about residuals, because weights and attributes alone cost as much; a "
+                "smaller rel_gap (--rel-gap) may prove more"
+            )
         yield "lower bound", f"{self.lower_bound:.6g}: {meaning}"
         if self.verdict != OPTIMAL:
             yield (
@@ -238,6 +247,11 @@ def _percent_above(share: float) -> str:
     return f"{math.ceil(1000.0 * share - 1e-6) / 10.0:.1f} %"
 
 
+def _is_trivial(lower_bound: float, constant: float) -> bool:
+    """Whether a lower bound holds for all residuals, because it is at most the constant cost."""
+    return lower_bound <= constant * (1.0 + _ROUNDING)
+
+
 def _judged(
     problem: Problem, T: np.ndarray, value: float, result: Result, limits: Limits
 ) -> Certified:
@@ -247,14 +261,14 @@ def _judged(
     lower_bound = 0.0 if result.downsampled is not None else min(result.lower_bound, value)
     exact = exact_value(problem)
     allowed = limits.tolerance(k, rounding_error(source, target, k), exact).allowed(value)
-    verdict = OPEN
-    # a lower bound of 0 holds for every sum of squares
-    proves = lower_bound > 0.0 or value <= exact
+    verdict, constant = OPEN, constant_cost(problem)
+    is_exact = value - constant <= exact + _ROUNDING**2 * constant
+    proves = is_exact or not _is_trivial(lower_bound, constant)
     if proves and value - lower_bound <= allowed * (1.0 + _ROUNDING):
         verdict = OPTIMAL
     elif result.objective < value - _NOTABLE * allowed:
         verdict = IMPROVABLE
     return Certified(
         verdict, T, value, lower_bound, allowed, Moments.of(source).displacement(best, T),
-        angle_between_deg(best, T), result,
+        angle_between_deg(best, T), result, constant,
     )  # fmt: skip

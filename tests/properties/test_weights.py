@@ -245,6 +245,24 @@ def test_a_sweep_encloses_the_weighted_optima(seed):
         assert result.certificate_scope == "similarity pose, weighted points"
 
 
+def test_a_sweep_suggests_a_number_by_residuals_without_weights():
+    """The costs of pairs of low weight are nearly constant, so they show no increase."""
+    generator = np.random.default_rng(5)
+    x = generator.random((24, 2))
+    y = x + 0.01 * generator.standard_normal((24, 2))
+    y[16:] = generator.random((8, 2))
+    weights = PointWeights(source=generator.uniform(0.2, 1.0, 24), distance=0.05)
+    found = dcreg.sweep(
+        x, y, [12, 14, 16, 17, 18, 20], model="similarity2d", weights=weights, node_limit=50
+    )
+    for result, residual in zip(found.results, found.residuals, strict=True):
+        rows, columns = result.assignment.T
+        moved = apply_pose(result.T_target_source, x[rows])
+        assert residual == pytest.approx(np.sqrt(((moved - y[columns]) ** 2).sum(axis=1).mean()))
+    assert found.suggested_n_inliers == 16
+    assert dcreg.SweepResult(found.results, found.proven_by).suggested_n_inliers != 16
+
+
 def test_a_sweep_needs_a_distance_for_its_smallest_number():
     weights = PointWeights(np.arange(1.0, 7.0))
     with pytest.raises(InputError, match=r"n_inliers=4 of 6 source .* give distance"):
@@ -275,6 +293,27 @@ def test_certify_judges_by_weighted_costs(dim):
         assert found.objective == pytest.approx(reference.k_assignment(costs, 5))
         assert found.lower_bound <= optimum + 1e-9
     assert "RMS residual" in str(found)
+
+
+def test_certify_does_not_prove_a_pose_by_the_constant_part_of_the_costs():
+    """The weights alone cost 3.5, so 1 % of the objective is more than the rough pose loses."""
+    x = np.random.default_rng(0).random((8, 2))
+    weights, rough = PointWeights(source=1.0 + np.arange(8.0), distance=1.0), np.eye(3)
+    rough[0, 2] = 0.02
+    for pose, y, rel_gap, verdict in (
+        (rough, x, 0.01, "open"),
+        (rough, x, 1e-4, "improvable"),
+        (np.eye(3), x, 0.01, "optimal"),
+        (np.eye(3), x + 0.5 * np.eye(8, 2), 1e-4, "improvable"),
+    ):
+        found = dcreg.certify(
+            x, y, pose, n_inliers=8, model="similarity2d", weights=weights, rel_gap=rel_gap
+        )
+        assert found.verdict == verdict
+        assert found.constant_cost == pytest.approx(3.5)
+        assert "RMS residual" not in dict(found.entries())["objective"]
+        is_about_weights = "about residuals" in dict(found.entries())["lower bound"]
+        assert is_about_weights == (pose is rough)
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -81,16 +81,13 @@ def check_alternatives(number: int) -> Checked:
             1 - 1e-6
         ):
             faults.append(f"pose {at} is not distinct")
-    if found.is_complete:
-        for value, T in one.fits():
-            if value <= found.threshold - eps:
-                gap = min(_apart(p.source, T, other) for other in listed)
-                if gap > found.min_displacement * (1 + 1e-6):
-                    faults.append(
-                        f"a pose with {value} <= {found.threshold} is missing ({gap} away)"
-                    )
-                    break
-        faults += _beyond(one, found.min_displacement, listed, found.lower_bound)
+    reached = max(found.lower_bound, found.threshold if found.is_complete else 0.0)
+    for value, T in one.fits():
+        gap = min(_apart(p.source, T, other) for other in listed)
+        if value <= reached - eps and gap > found.min_displacement * (1 + 1e-6):
+            faults.append(f"a pose with {value} <= {reached} is missing ({gap} away)")
+            break
+    faults += _beyond(one, found.min_displacement, listed, found.lower_bound)
     words = "unique" if found.is_unique else f"{'all' if found.is_complete else 'at least'}"
     return words, faults
 

@@ -1,9 +1,11 @@
 """A slice of `make questions` in every test run."""
 
+from dataclasses import replace
 from functools import cache
 
 import pytest
 
+import dcreg
 from tests.questions.checks import CHECKS
 
 COUNTS = {
@@ -30,3 +32,14 @@ def test_many_questions_are_answered(question):
     """In three dimensions two or three pairs can leave a rotation open: then there is no answer."""
     answered = [answer for answer, _ in answers(question) if answer not in OPEN]
     assert len(answered) >= COUNTS[question] // 4
+
+
+def test_a_bound_raised_above_the_fit_of_another_matching_is_wrong(monkeypatch):
+    ask = dcreg.alternatives
+    monkeypatch.setattr(
+        dcreg,
+        "alternatives",
+        lambda *clouds, **given: replace(ask(*clouds, **given), lower_bound=1e6),
+    )
+    _, faults = CHECKS["alternatives"](0)
+    assert [fault for fault in faults if fault.endswith("away)")]

@@ -218,6 +218,22 @@ def test_a_pair_without_an_answer_about_a_residual_is_open(table, tmp_path, solv
     assert len(solved) == 4
 
 
+def test_a_residual_is_met_up_to_rounding_as_in_register(table, tmp_path, solved):
+    """The RMS residual of the rows is 0.5."""
+    graph = tmp_path / "o.g2o"
+    assert call(table, "--max-rms", "0.49999999999", "--graph", graph).exit_code == 0
+    assert graph.read_text().count("EDGE") == 2
+
+
+def test_messages_about_a_pair_name_the_options_given(table):
+    write(table.parents[1], "source,target\n0.txt,1.txt\n")
+    outcome = call(table, "--axis", "0,0,1", "--scale-range", "1", "2", model="similarity3d")
+    assert "0.txt 1.txt: --axis: not supported by similarity3d; omit --axis" in outcome.stderr
+    (table.parent / "candidates.txt").write_text("0 0\n0 99\n")
+    outcome = call(table, "--candidates", table.parent / "candidates.txt")
+    assert "0.txt 1.txt: --candidates" in outcome.stderr
+
+
 def folder_call(folder, *options):
     named = "--out", folder / "out.csv", "--model", "rigid3d", "--n-inliers", "0.9"
     return run("batch", folder, *named, *options)
@@ -238,6 +254,18 @@ def test_a_folder_without_a_table_holds_consecutive_scans(table, solved):
     with (folder / "out.csv").open(newline="") as stream:
         found = [(row["source_id"], row["target_id"]) for row in csv.DictReader(stream)]
     assert found == [("1", "0"), ("2", "1")]
+
+
+def test_the_files_of_options_are_no_clouds(table, solved):
+    """They may lie in the folder; a superscript is no number in a name."""
+    folder = table.parent
+    table.unlink()
+    (folder / "0.txt").rename(folder / "\N{SUPERSCRIPT TWO}0.txt")
+    np.savetxt(folder / "pose.txt", np.eye(4))
+    np.savetxt(folder / "candidates.txt", np.tile(np.arange(10), (2, 1)).T, "%d")
+    options = "--init", folder / "pose.txt", "--candidates", folder / "candidates.txt"
+    assert folder_call(folder, *options).exit_code == 0
+    assert len(solved) == 2
 
 
 def test_the_table_of_a_folder_names_its_pairs(table, solved):
