@@ -14,15 +14,15 @@ ENDS = "_source", "_target"  # of the names of the files of a pair
 
 
 def pairs_of_folder(folder: Path, out: Path) -> list[dict[str, str]]:
-    """Return the pairs of NAME_source and NAME_target; without these, each file and the one before it.
+    """Return the pairs NAME_source and NAME_target or, without any, each file with the one before it.
 
-    The poses of consecutive scans then map each scan to the one before it.
+    In the second case, each pose maps a file to the one before it in the order of the names.
 
     Parameters
     ----------
     folder : Path
     out : Path
-        The table of results. It may lie in the folder, and is no cloud.
+        The table of results; if it lies in the folder, it does not count as a cloud.
 
     Returns
     -------

@@ -53,8 +53,8 @@ class Certified(Answer):
     T_target_source : (d+1, d+1) array
         The given pose; if its last digits make it inadmissible, the nearest admissible one.
     objective : float
-        Its sum of squared residuals over the cheapest `n_inliers` pairs, in squared units of the target;
-        with weights or attributes, the sum of the costs of pairs.
+        The minimum sum of squared residuals of `n_inliers` one-to-one pairs at this pose, in squared
+        units of the target; with weights or attributes, the minimum sum of the costs of pairs.
     lower_bound : float
         No pose has a lower objective.
     gap_tol : float
@@ -107,7 +107,7 @@ class Certified(Answer):
         k = self.result.n_inliers
         yield "given pose", self.answer
         pairs, rms = text.count(k, "pair"), np.sqrt(self.objective / k)
-        # with attributes, the objective is more than residuals
+        # with attributes, the objective is not a sum of squared residuals
         about = f"RMS residual {rms:.6g} over " if self.result.attribute_cost is None else ""
         yield "objective", f"{self.objective:.6g} ({about}{pairs})"
         share = self.max_improvement / self.objective if self.objective > 0.0 else 0.0
