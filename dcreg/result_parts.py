@@ -219,9 +219,27 @@ class ComparedNumber(NamedTuple):
     rms: float
 
 
+class ProvenNumber(NamedTuple):
+    """Proven bounds on the largest number of pairs within a distance.
+
+    Attributes
+    ----------
+    distance : float
+        In units of the target.
+    at_least : int
+        Number of pairs of the result within the distance.
+    at_most : int
+        No pose has more pairs within the distance.
+    """
+
+    distance: float
+    at_least: int
+    at_most: int
+
+
 @dataclass(frozen=True)
 class ChosenNumber:
-    """The evidence for the number of pairs that the library chose: not proven.
+    """The evidence for the number of pairs that the library chose; only `proven` is proven.
 
     Attributes
     ----------
@@ -235,6 +253,9 @@ class ChosenNumber:
     is_cut : bool
         Whether the time limit or the listener ended the comparison before all poses and numbers were
         compared.
+    proven : ProvenNumber, optional
+        At this distance, about the RMS residual, there are fewer pairs than the chosen number at every
+        pose. It follows from the lower bound. None if that is 0 or refers to a sample or to weights.
     """
 
     compared: list[ComparedNumber]
@@ -242,8 +263,17 @@ class ChosenNumber:
     high: int
     runner_up: int | None = None
     is_cut: bool = False
+    proven: ProvenNumber | None = None
 
     def __str__(self) -> str:
+        return self._comparison() + (
+            ""
+            if self.proven is None
+            else f"\nproven: within {self.proven.distance:.3g}, the largest number of pairs is "
+            f"{self.proven.at_least} to {self.proven.at_most}"
+        )
+
+    def _comparison(self) -> str:
         if not self.compared:
             return "not compared with others"
         step = -(-len(self.compared) // _SHOWN)

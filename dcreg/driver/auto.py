@@ -36,6 +36,7 @@ from dcreg.driver.fractional import POWER_OF_NEIGHBOURS, POWER_OF_PAIRS, Fit
 from dcreg.driver.modes import choose_mode, find_mode, space_of
 from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Setup, solve
+from dcreg.driver.uncertainty import proven_number
 from dcreg.families.mode import Mode
 from dcreg.names import AUTO
 from dcreg.problem import (
@@ -99,10 +100,11 @@ def register_auto(problem: Problem, limits: Limits, options: SolveOptions) -> Re
         at, chosen, pose = choice.run()
         chosen_s = budget.elapsed()
         result = solve(setup, at, budget, init=pose)
+        clouds = problem.source, problem.target
         stage = Stage(STAGE, chosen_s, n_assignments=choice.n_assignments)
         return replace(
             result,
-            chosen_number=chosen,
+            chosen_number=replace(chosen, proven=proven_number(result, *clouds)),
             stages=[stage, *result.stages],
             n_assignments=result.n_assignments + choice.n_assignments,
             warnings=[

@@ -33,8 +33,11 @@ def refuted_at_once(space: Any, problem: NormalisedProblem, budget: Budget) -> O
         lower_bound, budget.sub_budget(REFUTING_SHARE),
     ):  # fmt: skip
         return None
-    theta, spent = next(space.starts(budget))
     value = np.inf
+    try:
+        theta, spent = next(space.starts(budget))
+    except Interrupted:
+        theta, spent = space.seeds()[0], 0
     with suppress(Interrupted):
         refined, value, n_more = space.refine(theta)
         spent += n_more

@@ -252,12 +252,12 @@ class Finish:
             result = replace(
                 result, attribute_cost=problem.weights.attribute_cost(result.assignment)
             )
-        if problem.pose_range is None:  # both are those of free poses
-            low, high = problem.scale_range
-            has_scale = problem.has_scale and low < high
-            weights = None if problem.weights is None else problem.weights.of(result.assignment)
-            clouds = problem.source, problem.target
-            result = with_uncertainty(result, *clouds, weights, has_scale=has_scale)
+        has_scale = problem.has_scale and problem.scale_range[0] < problem.scale_range[1]
+        weights = None if problem.weights is None else problem.weights.of(result.assignment)
+        result = with_uncertainty(
+            result, problem.source, problem.target, weights, has_scale=has_scale,
+            pose_range=problem.pose_range,
+        )  # fmt: skip
         return replace(result, warnings=warnings_for(Case(problem, result, mode.in_norm_space)))
 
     def _initial(self, T: np.ndarray) -> list[np.ndarray]:

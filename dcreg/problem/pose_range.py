@@ -12,6 +12,7 @@ from dcreg.problem.errors import InputError
 from dcreg.problem.geometry import apply_pose, fit_pose, nearest_rotation, scale_of
 
 SLACK = 1e-9  # relative; a pose at a limit of the range may be a rounding error outside
+_AT = 1.0 - 1e-6  # share of a limit from which a pose lies at it
 _RIGID = 1e-4  # deviation of a given matrix from a rotation that counts as its rounding
 
 
@@ -91,17 +92,32 @@ class PoseRange:
         place: np.ndarray = apply_pose(self.around, self.pivot[None])[0]
         return place
 
+    def is_at_limit(self, T: np.ndarray) -> bool:
+        """Tell whether a pose of the range lies at a limit that is neither 0 nor everything."""
+        angle, gap = np.linalg.norm(self._turn(T)), self._gap(T)
+        is_turned = 0.0 < self.max_angle < 180.0 and angle >= _AT * math.radians(self.max_angle)
+        return bool(is_turned or 0.0 < _AT * self.max_translation <= gap)
+
+    def _turn(self, T: np.ndarray) -> np.ndarray:
+        """Return the rotation of a pose from the reference pose, as a `rotation_vector`."""
+        d = len(self.pivot)
+        return rotation_vector(
+            nearest_rotation(T[:d, :d]) @ nearest_rotation(self.around[:d, :d]).T
+        )
+
+    def _gap(self, T: np.ndarray) -> float:
+        """Return the distance of the moved pivot from its place."""
+        return float(np.linalg.norm(apply_pose(T, self.pivot[None])[0] - self.place))
+
     def contains(self, T: np.ndarray) -> bool:
         """Tell whether a pose of the model lies in the range, up to rounding."""
-        d = len(self.pivot)
-        turn = nearest_rotation(T[:d, :d]) @ nearest_rotation(self.around[:d, :d]).T
-        vector = rotation_vector(turn)
+        vector = self._turn(T)
         if np.linalg.norm(vector) > math.radians(self.max_angle) + SLACK:
             return False
         if self.axis is not None and np.linalg.norm(np.cross(vector, self.axis)) > SLACK:
             return False
-        gap = np.linalg.norm(apply_pose(T, self.pivot[None])[0] - self.place)
-        return bool(gap <= self.max_translation * (1.0 + SLACK) + SLACK * (1.0 + np.abs(T).max()))
+        slack = SLACK * (1.0 + np.abs(T).max())
+        return bool(self._gap(T) <= self.max_translation * (1.0 + SLACK) + slack)
 
     def fit(
         self, source: np.ndarray, target: np.ndarray, scale_range: tuple[float, float]

@@ -1,13 +1,17 @@
 """How many pairs fit at most? Bounds on the number of pairs within a distance.
 
-If k pairs lie within a distance d at some pose, the minimum E_k of the sum of k squared residuals is at
-most k d^2. E_k / k does not decrease with k, because the k - 1 cheapest of k pairs have at most the same
-mean. So if E_k > k d^2 is proven, no pose has k or more pairs within d. The smallest such k is found by
-bisection. Poses found on the way, and fits to their pairs within d, give the number that is reached.
+Sums of squares give bounds: if k pairs lie within a distance d at some pose, the minimum E_k of the sum
+of k squared residuals is at most k d^2. E_k / k does not decrease with k, because the k - 1 cheapest of
+k pairs have at most the same mean. So if E_k > k d^2 is proven, no pose has k or more pairs within d. The
+smallest such k is found by bisection. In most models, this takes a part of the time, and
+`dcreg.questions.counting` then bounds the number itself over boxes of poses.
+
+Poses found on the way, and fits to their pairs within d, give the number that is reached.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,6 +20,7 @@ import numpy as np
 
 from dcreg import text
 from dcreg.answer import Answer
+from dcreg.driver.auto import register_auto
 from dcreg.driver.options import Limits, SolveOptions, check_positive
 from dcreg.driver.solve import register_problem
 from dcreg.files import plain
@@ -28,13 +33,18 @@ from dcreg.problem import (
     apply_pose,
     largest_matching,
 )
+from dcreg.questions.counting import count_search, has_count_search
 from dcreg.result import Result
 from dcreg.search import Budget
 from dcreg.status import Status
 
 _MAX_PAIRS = 4_000_000  # point pairs; more do not fit into a dense matrix of distances
 _REFITS = 20
+_LOCAL_EVERY = 16  # rounds of boxes with one local search
+_BEYOND = 1.25  # distances up to which pairs are fitted as well, to bring them within one
 _SHARE = 0.25  # of the time left, for one number of pairs; the last number gets the rest
+# ... and for all of them before a search by bounds on the number, and for the choice of a pose between
+_BISECTING, _CHOOSING = 0.2, 0.1
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,9 +130,9 @@ def max_inliers(
     """Bound the largest number of one-to-one pairs that a pose can bring within a distance.
 
     The lower bound is the number of pairs at the best pose found. No pose has more pairs than the upper
-    bound, which a search has proven or which is the largest number that the points allow. The proof uses
-    sums of squares, so the upper bound is not tight if the residuals of further pairs are only a little
-    above `distance`.
+    bound, which a search has proven or which is the largest number that the points allow. The search
+    ends when both agree. For ``similarity3d``, the proof uses sums of squares, so the upper bound is not
+    tight if the residuals of further pairs are only a little above `distance`.
 
     Parameters
     ----------
@@ -169,11 +179,11 @@ def max_inliers(
     limits = Limits(time_s=time_limit, max_rms=distance)
     limits.check(most)
     with Budget(time_limit) as budget:
-        return _Bisection(first, distance, limits, chosen, budget).run(most)
+        return _Search(first, distance, limits, chosen, budget).run(most)
 
 
-class _Bisection:
-    """The search for the smallest number of pairs that is refuted."""
+class _Search:
+    """The search for the largest number of pairs."""
 
     def __init__(
         self,
@@ -189,6 +199,21 @@ class _Bisection:
         self.tried: list[tuple[int, str]] = []
 
     def run(self, most: int) -> MaxInliers:
+        """Search by bounds on sums of squares, then, where there are some, on the number of pairs."""
+        whole, is_bounded = self.budget, has_count_search(self.problem, self.options)
+        self.budget = whole.sub_budget(_BISECTING) if is_bounded else whole
+        at_most = self._bisected(most)
+        self.budget, is_stopped = whole, self.tried[-1][1] == Status.STOPPED.value
+        if is_bounded and not (is_stopped or self.budget.is_over):
+            if len(self.best[1]) < at_most:
+                self._choose_poses()
+            at_most = self._searched(at_most)
+        T, pairs = self.best
+        return MaxInliers(
+            self.distance, len(pairs), at_most, most, T, pairs, self.tried, self.budget.elapsed()
+        )
+
+    def _bisected(self, most: int) -> int:
         """Halve the range of numbers that are neither reached nor refuted, then count its end down."""
         refuted, unknown = most + 1, 0  # the smallest refuted number, the largest one not refuted
         while refuted - unknown > 1 and not (self.tried and self.budget.is_over):
@@ -205,11 +230,50 @@ class _Bisection:
             if self._solve(refuted - 1, share=1.0) is not Status.REFUTED:
                 break
             refuted -= 1
-        T, pairs = self.best
-        return MaxInliers(
-            self.distance, len(pairs), refuted - 1, most, T, pairs, self.tried,
-            self.budget.elapsed(),
+        return refuted - 1
+
+    def _choose_poses(self) -> None:
+        """Count the pairs at poses that fit best: without a given number, and for one more than known."""
+        most, known = self.problem.max_n_inliers, -1
+        limits = replace(self.limits, max_rms=None, nodes=1, time_s=self._share_of_left(_CHOOSING))
+        found = register_auto(self.problem, limits, self.options)
+        while True:
+            self.budget.clock.exclude(found.time_setup_s)
+            self._count(found.T_target_source)
+            if not known < len(self.best[1]) < most or self.budget.is_over:
+                break
+            known = len(self.best[1])
+            limits = replace(self.limits, nodes=1, time_s=self._share_of_left(_CHOOSING))
+            problem = self.problem.with_n_inliers(known + 1)
+            found = register_problem(problem, limits, self.options)
+
+    def _share_of_left(self, share: float) -> float | None:
+        """Return a share of the time left, in seconds."""
+        left = self.budget.left()
+        return None if left is None else max(0.05, share * left)
+
+    def _searched(self, at_most: int) -> int:
+        """Search for more pairs than are known, by bounds on their number; return the most possible."""
+        if len(self.best[1]) == at_most:
+            return at_most
+
+        source, rounds = self.problem.source, itertools.count()
+
+        def count(T: np.ndarray) -> int:
+            T = self.problem.fit(source, apply_pose(T, source))  # the nearest admissible pose
+            if next(rounds) % _LOCAL_EVERY == 0:
+                self._count(T)
+            else:
+                self._pairs(T, self.distance)
+            return len(self.best[1])
+
+        proven = count_search(
+            self.problem, self.distance, (self.best[0], len(self.best[1])), at_most, count,
+            (self.limits, self.options), self.budget,
         )  # fmt: skip
+        if proven < at_most:
+            self.tried.append((proven + 1, Status.REFUTED.value))
+        return proven
 
     def _is_open(self, k: int) -> bool:
         """Whether it is not known if k pairs are too many, and more time may tell."""
@@ -217,10 +281,9 @@ class _Bisection:
 
     def _solve(self, k: int, share: float = _SHARE) -> Status:
         """Decide whether k pairs can have an RMS residual of the distance; count at the pose found."""
-        left = self.budget.left()
-        limit = None if left is None else max(0.05, share * left)
         found: Result = register_problem(
-            self.problem.with_n_inliers(k), replace(self.limits, time_s=limit),
+            self.problem.with_n_inliers(k),
+            replace(self.limits, time_s=self._share_of_left(share)),
             replace(self.options, prove=True),
         )  # fmt: skip
         # as in other searches, the time limit does not include compilation
@@ -235,16 +298,37 @@ class _Bisection:
         """Alternate the pairs within the distance and their pose while their number grows."""
         problem, known = self.problem, 0
         for _ in range(_REFITS):
-            moved = apply_pose(T, problem.source)
-            gaps = ((moved[:, None] - problem.target) ** 2).sum(axis=2)
-            within = gaps <= self.distance**2
-            if problem.candidates is not None:
-                within &= problem.candidates
-            columns = largest_matching(within)
-            rows = np.flatnonzero(columns >= 0)
-            if len(rows) > len(self.best[1]):
-                self.best = T, np.column_stack([rows, columns[rows]])
+            rows, columns = self._pairs(T, self.distance)
             if len(rows) <= known or not len(rows):
                 break
             known = len(rows)
-            T = problem.fit(problem.source[rows], problem.target[columns[rows]])
+            T = problem.fit(problem.source[rows], problem.target[columns])
+        if known >= max(1, len(self.best[1]) - 1):
+            self._balance(T)
+
+    def _balance(self, T: np.ndarray) -> None:
+        """Fit pairs slightly beyond the distance as well, with growing weights while they are beyond."""
+        problem = self.problem
+        rows, columns = self._pairs(T, _BEYOND * self.distance, is_kept=False)
+        weights = np.ones(len(rows), np.int64)
+        for _ in range(_REFITS):
+            repeated = np.repeat(np.arange(len(rows)), weights)
+            T = problem.fit(problem.source[rows[repeated]], problem.target[columns[repeated]])
+            self._pairs(T, self.distance)
+            gaps = apply_pose(T, problem.source[rows]) - problem.target[columns]
+            weights += (gaps**2).sum(axis=1) > self.distance**2
+
+    def _pairs(
+        self, T: np.ndarray, reach: float, *, is_kept: bool = True
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the most pairs within a distance at a pose; it is kept if there are more than ever."""
+        problem = self.problem
+        gaps = ((apply_pose(T, problem.source)[:, None] - problem.target) ** 2).sum(axis=2)
+        within = gaps <= reach**2
+        if problem.candidates is not None:
+            within &= problem.candidates
+        columns = largest_matching(within)
+        rows = np.flatnonzero(columns >= 0)
+        if is_kept and len(rows) > len(self.best[1]):
+            self.best = T, np.column_stack([rows, columns[rows]])
+        return rows, columns[rows]

@@ -24,6 +24,7 @@ from workflows.archives import (
     is_inside,
     readable,
 )  # fmt: skip
+from workflows.blocks import NEEDS
 from workflows.integrity import digest
 from workflows.stages.aggregate import accounting
 from workflows.stages.clouds import CLOUDS
@@ -103,6 +104,8 @@ def _restore_one(stored: Path, runs: pd.DataFrame, events: pd.DataFrame, tables:
     (tables / "overlays.json").write_bytes(overlays)
     if (stored / CLOUDS).is_file():  # earlier archives have none
         shutil.copyfile(stored / CLOUDS, tables / CLOUDS)
+    if (stored / NEEDS).is_file():
+        shutil.copyfile(stored / NEEDS, tables.with_name(NEEDS))
 
 
 def _download(address: str, cache: Path, sha256: str) -> Path:

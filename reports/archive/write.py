@@ -7,6 +7,7 @@ import gzip
 import json
 import re
 import shutil
+import tempfile
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,11 +18,12 @@ import pandas as pd
 from dcreg.files import whole_file
 from reports.archive import clouds
 from reports.archive.crate import describe
+from reports.archive.read import restore
 from reports.archive.sources import public, write_readme, write_sources
 from reports.ledger.evidence import STUDY
 from reports.tables import ReportError, Tables, thin_trace
 from workflows import CHECKOUT, provenance, records
-from workflows.archives import CHECKSUMS, RUNS, TRACES
+from workflows.archives import CHECKSUMS, FACTS, RUNS, TRACES, check
 from workflows.blocks import EVIDENCE, NEEDS
 from workflows.integrity import digest
 
@@ -35,6 +37,9 @@ _SHARED = ["method", "instance_id"]
 
 def write(results: Sequence[Path], out: Path, version: str) -> Path:
     """Write the archive of all results in `results` to the folder `out`, replacing an earlier one.
+
+    Experiments of the earlier one without complete tables in `results` are kept, as after a stopped
+    ``make evidence``.
 
     Parameters
     ----------
@@ -50,11 +55,21 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
     """
     if not re.fullmatch(r"\w[\w.+-]*", version):  # it names a folder, which is replaced
         raise ReportError(f"version: {version!r}; use letters, digits, and . + - _ after the first")
-    folders = [place for root in results for place in sorted(root.glob("*"))]
+    with tempfile.TemporaryDirectory() as earlier:
+        if (out / FACTS).is_file():
+            check(out)
+            restore(out, Path(earlier))
+        return _write([*results, Path(earlier)], out, version)
+
+
+def _write(roots: Sequence[Path], out: Path, version: str) -> Path:
+    """Write the archive of the first results of each experiment in these folders."""
+    folders = list(_first_results(roots).values())
     places = [found for place in folders if (found := _with_tables(place)) is not None]
     tables = [Tables.load(place / "tables") for place in places]
     if not tables:
-        raise ReportError(f"{', '.join(map(str, results))}: no results; run an experiment first")
+        given = ", ".join(map(str, roots[:-1]))
+        raise ReportError(f"{given}: no results; run an experiment first")
     shown = [dataclasses.replace(each, provenance=public(each.provenance)) for each in tables]
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
@@ -75,7 +90,7 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
     for name, counts in clouds.write(tables, part, room).items():
         facts["experiments"][name]["clouds"] = counts
     write_readme(added, version, facts["git"]["commit"], part)
-    (part / "archive.json").write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+    (part / FACTS).write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
     describe(part, facts)
     _write_checksums(part)
     if (size := _size(part)) > MOST_BYTES:
@@ -85,6 +100,15 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
     shutil.rmtree(out, ignore_errors=True)
     part.rename(out)
     return out
+
+
+def _first_results(roots: Sequence[Path]) -> dict[str, Path]:
+    """Return the first folder with results by name, of experiments and of the study of bounds."""
+    first: dict[str, Path] = {}
+    for place in (place for root in roots for place in sorted(root.glob("*"))):
+        if _with_tables(place) is not None or (place.name == STUDY and any(place.glob("*.csv"))):
+            first.setdefault(place.name, place)
+    return first
 
 
 def _size(folder: Path) -> int:

@@ -9,8 +9,8 @@ import pytest
 
 import dcreg
 from workflows.disturb import make_instance
-from workflows.studies import answers, certifying
-from workflows.studies.proof import known_axis
+from workflows.studies import answers, certifying, inliers
+from workflows.studies.proof import Cell, known_axis
 
 
 def question(shape, name="certify"):
@@ -61,3 +61,27 @@ def test_certify_is_compared_with_a_solve_of_the_same_problem():
     table = certifying.summary(pd.DataFrame(rows))
     assert table["problems"].tolist() == [1, 1, 1]
     assert certifying.compared(raw, 1, 5.0, 1e3) == []  # solved too soon
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_an_interval_of_pairs_is_compared_with_the_planted_pose(dim, monkeypatch):
+    cell = Cell("embedded", "mixed_outliers", 0.2, 0)
+    found = inliers.asked(cell, dim, 0.01, 12, 5.0)
+    assert found["closed"]
+    assert not found["wrong"]
+    assert found["planted"] <= found["at_least"] == found["at_most"] < found["n_possible"]
+    ask = dcreg.max_inliers
+    monkeypatch.setattr(
+        dcreg, "max_inliers", lambda *a, **k: dataclasses.replace(ask(*a, **k), at_most=3)
+    )
+    assert inliers.asked(cell, dim, 0.01, 12, 5.0)["wrong"]
+
+
+def test_the_summary_of_intervals_counts_the_closed_ones():
+    rows = pd.DataFrame({
+        "dim": [2, 2, 3], "ratio": 0.1, "at_least": [9, 8, 7], "at_most": [9, 12, 8],
+        "closed": [True, False, False], "wrong": False, "time_s": 1.0, "cpu_s": 1.0,
+    })  # fmt: skip
+    table = inliers.summary(rows)
+    assert table["closed"].tolist() == [1, 0]
+    assert table["median_width"].tolist() == [2.0, 1.0]

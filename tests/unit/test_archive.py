@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import zipfile
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from reports.runs import clouds as drawn_clouds
 from reports.tables import ReportError, Tables
 from workflows import records
 from workflows.archives import ArchiveError, archived
+from workflows.blocks import NEEDS
 from workflows.integrity import digest
 from workflows.stages.clouds import CLOUDS
 
@@ -52,6 +54,23 @@ def test_restored_tables_are_those_of_the_results(results, archive, tmp_path):
         assert drawn_clouds.of_instances(stored) == drawn_clouds.of_instances(original)
     study = pd.read_csv(tmp_path / "bounds" / "boxes.csv")
     assert_frame_equal(study, pd.read_csv(results / "bounds" / "boxes.csv"))
+
+
+def test_a_new_archive_keeps_experiments_without_new_results(results, tmp_path):
+    earlier, later = tmp_path / "earlier", tmp_path / "later"
+    shutil.copytree(results, earlier)
+    (earlier / "two" / NEEDS).write_text('{"kept": 1}')
+    (later / "two").mkdir(parents=True)  # begun, without tables
+    write_tables(later / "one" / "tables", "one")
+    out = writing.write([earlier], tmp_path / "1.0", "1.0")
+    before = {name: read.facts(out)["experiments"][name] for name in ("one", "two")}
+    stored = (out / "experiments" / "two" / "overlays.json.gz").read_bytes()
+    writing.write([later], out, "1.0")
+    read.check(out)
+    assert read.facts(out)["experiments"] == before
+    assert (out / "experiments" / "two" / "overlays.json.gz").read_bytes() == stored
+    assert (out / "experiments" / "two" / NEEDS).read_text() == '{"kept": 1}'
+    assert (out / "bounds" / "boxes.parquet").is_file()
 
 
 def test_archived_clouds_are_thinned_with_the_pairs_that_remain(results, tmp_path, monkeypatch):

@@ -112,6 +112,24 @@ def test_the_smallest_number_is_not_called_the_only_one_that_fits():
     assert str(ChosenNumber(compared, 4, 4)).startswith("no other number fits nearly as well\n")
 
 
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
+def test_the_lower_bound_gives_a_proven_interval(model):
+    found = dcreg.register(*CLOUDS[model], model=model, time_limit=5.0)
+    distance, at_least, at_most = found.chosen_number.proven
+    assert 0 < at_least <= at_most == found.n_inliers - 1
+    assert distance == pytest.approx(np.sqrt(found.lower_bound / found.n_inliers))
+    asked = dcreg.max_inliers(*CLOUDS[model], distance=distance, model=model, time_limit=2.0)
+    assert asked.at_least <= at_most
+    assert at_least <= asked.at_most
+    assert f"{at_least} to {at_most}" in str(found.chosen_number)
+
+
+def test_no_interval_is_proven_without_a_lower_bound():
+    points = np.random.default_rng(0).random((30, 2))
+    found = dcreg.register(points, points + 3.0, model="similarity2d")
+    assert found.chosen_number.proven is None  # the fit is exact
+
+
 def test_unrelated_clouds_are_called_uncertain():
     rng = np.random.default_rng(1)
     clouds = rng.random((40, 2)), rng.random((40, 2))

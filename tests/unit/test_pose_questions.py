@@ -12,9 +12,15 @@ from scipy.spatial.transform import Rotation
 
 import dcreg
 from dcreg.cli import commands
+from dcreg.driver.options import Limits, SolveOptions
+from dcreg.driver.solve import Setup
+from dcreg.families.rigid3d.space import Rigid3D
+from dcreg.problem import Problem, apply_pose, largest_matching
 from dcreg.questions import inliers
 from dcreg.questions.certify import _percent_above
+from dcreg.questions.counting import CountBound
 from dcreg.result_parts import Stage
+from dcreg.search import Boxes, Budget, Interrupted
 from dcreg.status import Status
 from tests.results import run
 
@@ -413,6 +419,19 @@ def test_ranges_hold_for_samples_and_all_points(angle):
     assert right == (angle == 90.0)
 
 
+def test_feasible_pairs_are_refuted_even_if_no_time_is_left_for_a_pose(monkeypatch):
+    def no_time(self, budget):
+        raise Interrupted
+
+    monkeypatch.setattr(Rigid3D, "starts", no_time)
+    found = dcreg.register(
+        SOURCE, 3.0 * SOURCE, n_inliers=10, model="rigid3d", candidates=np.eye(20, dtype=bool),
+        max_rms=0.01,
+    )  # fmt: skip
+    assert found.status is Status.REFUTED
+    assert found.stages[0].name == "feasible pairs"
+
+
 def test_largest_number_of_pairs_is_bracketed():
     target = np.vstack([TARGET[:14], 3.0 + RNG.standard_normal((6, 3))])
     found = dcreg.max_inliers(SOURCE, target, distance=0.05, model="rigid3d", time_limit=20)
@@ -441,6 +460,7 @@ def test_the_time_that_is_left_lowers_the_upper_end(monkeypatch):
         return replace(found, status=Status.TIME_LIMIT) if is_first else found
 
     monkeypatch.setattr(inliers, "register_problem", slow)
+    monkeypatch.setattr(inliers, "has_count_search", lambda *_: False)  # as for similarity3d
     target = np.vstack([TARGET[:14], 3.0 + RNG.standard_normal((6, 3))])
     found = dcreg.max_inliers(SOURCE, target, distance=0.05, model="rigid3d", time_limit=60)
     assert asked[:2] == [20, 20]
@@ -457,10 +477,60 @@ def test_the_time_limit_of_the_largest_number_excludes_preparation(monkeypatch):
         return replace(found, time_setup_s=found.time_setup_s + waited_s)
 
     monkeypatch.setattr(inliers, "register_problem", compiling)
-    target = np.vstack([TARGET[:19], [[9.0, 9.0, 9.0]]])
+    target = np.vstack([TARGET[:15], RNG.standard_normal((5, 3)) + 5.0])
     found = dcreg.max_inliers(SOURCE, target, distance=0.05, model="rigid3d", time_limit=waited_s)
     assert len(found.tried) > 1
     assert found.time_s < waited_s * len(found.tried)
+
+
+PLANTED = {
+    "all poses": None,
+    "range": dcreg.PoseRange(max_angle=120.0, max_translation=3.0),
+    "axis": dcreg.PoseRange(axis=(0, 0, 1)),
+}
+
+
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
+@pytest.mark.parametrize("where", PLANTED)
+def test_the_largest_number_of_pairs_is_proven(model, where):
+    """Nine true pairs among clutter, within three times the noise."""
+    rng, d = np.random.default_rng(3), int(model[-2])
+    pose_range = PLANTED[where] if d == 3 or where != "axis" else dcreg.PoseRange(max_angle=0.0)
+    source, target = rng.random((12, d)), rng.random((14, d)) + 0.5
+    target[:9] = source[:9] + 0.5 + 0.01 * rng.uniform(-1.0, 1.0, (9, d))
+    found = dcreg.max_inliers(
+        source, target, distance=0.03, model=model, time_limit=20, pose_range=pose_range,
+        scale_range=(0.8, 1.2) if d == 2 else None,
+    )  # fmt: skip
+    assert found.is_exact
+    assert found.at_least >= 9
+    assert (found.at_most + 1, "refuted") in found.tried
+
+
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
+def test_bounds_on_numbers_of_pairs_hold_in_every_box(model):
+    """No random pose of a box brings more pairs within the distance than its bound."""
+    rng, d = np.random.default_rng(4), int(model[-2])
+    source, target = rng.standard_normal((15, d)), rng.standard_normal((15, d))
+    feasible = rng.random((15, 15)) < 0.7
+    setup = Setup.of([Problem(source, target, 4, model, None, feasible)], Limits(), SolveOptions())
+    bound = CountBound.of(setup, Budget(), 0.4, 15)
+    space, tight = bound.space, 0
+    for half in (0.01, 0.1, 0.5):
+        roots = [bound.roots[at] for at in rng.integers(len(bound.roots), size=20)]
+        centres = np.array([root.sample(rng, 1)[0] for root in roots])
+        widths = half * np.array([root.half_widths > 0.0 for root in roots])
+        boxes = Boxes(centres - widths, centres + widths)
+        found = 15 - bound.evaluate(boxes, None).lower_bounds
+        for lower, upper, most in zip(boxes.lower, boxes.upper, found, strict=True):
+            thetas = rng.uniform(lower, upper, (20, len(lower)))
+            for theta in thetas[space.admissible(thetas)]:
+                moved = apply_pose(setup.frame.pose(space.pose(theta)), source)
+                near = np.linalg.norm(moved[:, None] - target, axis=2) <= 0.4
+                count = (largest_matching(near & feasible) >= 0).sum()
+                assert count <= most
+                tight += count == most
+    assert tight > 20
 
 
 @pytest.mark.parametrize("time_limit", [1e-9, 1.0])

@@ -43,11 +43,11 @@ class Cell(NamedTuple):
     level: float
     trial: int
 
-    def instance(self, points: int, plane: bool) -> RawInstance:
+    def instance(self, points: int, plane: bool, **options: Any) -> RawInstance:
         source = dataset(self.shape)
         shape = SHAPES.get(self.shape) or source.shapes()[0]
         source = SideView(source) if plane else source
-        return make_instance(source, shape, self.test, self.level, self.trial, points)
+        return make_instance(source, shape, self.test, self.level, self.trial, points, **options)
 
 
 class SideView(PrototypeDataset):
