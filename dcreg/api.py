@@ -66,8 +66,8 @@ def register(
         The admissible poses: rotations about one axis, limited angles or translations. Default: all.
     weights : PointWeights, optional
         Weights of the points. They replace the squared residual in the objective, the bounds and the
-        covariance by the cost of `PointWeights`. Not in mode ``paper`` in 3D; up to 1,200,000 point
-        pairs.
+        covariance by the cost of `PointWeights`. Limits: at most 1,200,000 point pairs, and not in mode
+        ``paper`` in 3D.
     attributes : Attributes, optional
         Colours, intensities or other attributes of the points. The objective and the bounds then include
         their differences, see `Attributes`. The limits are those of `weights`.
@@ -216,7 +216,7 @@ def sweep(
     rest = model, scale_range, candidates, pose_range
     first = Problem(source, target, counts[0], *rest)
     numbers = sorted({first.with_n_inliers(count).n_inliers for count in counts})
-    # weights that are valid for the fewest pairs are valid for more
+    # weights that are valid for the smallest number are valid for larger ones
     fewest = Problem(source, target, numbers[0], *rest, weights).with_attributes(attributes)
     limits = Limits(rel_gap, abs_gap, tol, time_limit, node_limit, memory_limit_mb)
     problems = [fewest.with_n_inliers(k) for k in numbers]

@@ -55,7 +55,7 @@ FIGURE_PACKAGES = {
 }
 # Suffixes of the files of points that are written.
 CLOUD_SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".npy", ".npz")
-# ... and of those that are read.
+# Suffixes of the files of points that are read.
 READ_SUFFIXES = (*CLOUD_SUFFIXES, ".mat", ".off", ".las", ".laz", ".e57")
 # Scores by which `register_matches` selects among the poses that matches agree on; default first.
 SCORES = ("correspondences", "surfaces")

@@ -14,7 +14,7 @@ from baselines._shared.poses import homogeneous
 from baselines.contract import Baseline, Card, Instance, Limits, ModelName, Solution
 from dcreg.problem import apply_pose
 
-# A search that has not ended after so many nodes would also run into the time limit.
+# A search that exceeds this number of nodes would also exceed the time limit.
 LIMITS = Limits(time_s=8.0, nodes=3500)
 MODELS: tuple[ModelName, ...] = ("similarity2d", "rigid3d")
 

@@ -1,4 +1,4 @@
-"""The outcome of the check of a certificate: text, JSON and, for a figure, the stated pose."""
+"""The outcome of `verify`: its text, its JSON and the stated pose for a figure."""
 
 from __future__ import annotations
 

@@ -43,17 +43,18 @@ class Commands(TyperGroup):
 
 
 class OneCommand(TyperCommand):
-    """A command that says which other commands have an option that it lacks."""
+    """A command that names the commands with an option that it lacks."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Refuse an option of other commands, before Typer guesses a similar one."""
+        """Reject an option of other commands, before Typer proposes a similar one."""
         own = _options_of(self)
         for name in (arg.partition("=")[0] for arg in args):
             owners = [] if name in own else _owners(ctx.parent.command, name)
             if owners:
+                *most, last = owners
+                listed = f"{', '.join(most)} or {last}" if most else last
                 output.print_error(
-                    f"{name}: not an option of `dcreg {self.name}`; omit {name}, or use "
-                    f"{' or '.join(owners)}"
+                    f"{name}: not an option of `dcreg {self.name}`; omit {name}, or use {listed}"
                 )
                 raise typer.Exit(output.EXIT_INPUT)
         return super().parse_args(ctx, args)

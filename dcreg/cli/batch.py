@@ -46,7 +46,7 @@ class Batch:
     search : Search
     poses : Poses
     goal : Goal
-        Its number is for pairs of which the table gives none.
+        Its number of pairs applies where the table gives none.
     drop_invalid : bool
     """
 

@@ -201,8 +201,8 @@ def batch(
     ----------
     pairs : PAIRS
         Table (.csv) with the columns source and target, files relative to its folder, and optionally
-        n_inliers, which replaces --n-inliers. Or a folder: its pairs.csv if there is one, else its files
-        NAME_source and NAME_target, else each file with the one before it.
+        n_inliers, which replaces --n-inliers. Or a folder with pairs.csv, else with files NAME_source and
+        NAME_target, else with point files sorted by name: each is registered to the one before it.
     drop_invalid : switch
         Ignore points with NaN or infinity.
     jobs : N

@@ -15,9 +15,9 @@ ENDS = "_source", "_target"  # of the names of the files of a pair
 
 
 def pairs_of_folder(folder: Path, others: Iterable[Path | str | None]) -> list[dict[str, str]]:
-    """Return the pairs of NAME_source and NAME_target; without these, each file and the one before it.
+    """Return the pairs NAME_source and NAME_target or, without any, each file with the one before it.
 
-    The poses of consecutive scans then map each scan to the one before it.
+    In the second case, each pose maps a file to the one before it in the order of the names.
 
     Parameters
     ----------

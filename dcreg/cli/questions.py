@@ -66,7 +66,7 @@ def certify(
 
 @dataclass
 class Others:
-    """The settings of `dcreg.alternatives`.
+    """The definition of other poses, as for `dcreg.alternatives`.
 
     Attributes
     ----------
@@ -77,12 +77,12 @@ class Others:
         units of the target. Default: three times the RMS residual of the best pose or --noise, but at
         least 1 % of the RMS radius of the target.
     noise : D
-        A pose is also nearly as good if its RMS residual is at most D, in units of the target. Exact fits
-        need such a length. Default: a third of --min-displacement, but at most a third of its default
-        minimum.
+        A pose is also nearly as good if its RMS residual is at most D, in units of the target; needed for
+        exact fits, whose objective is 0. Default: a third of --min-displacement, but at most a third of
+        1 % of the RMS radius of the target.
     isolated : D
-        As --min-displacement; in addition, raise the lower bound of all other poses as far as the bounds
-        and the time allow.
+        Replaces --min-displacement. In addition, raise the lower bound on the objective of all distinct
+        poses beyond the threshold, as far as possible within the limits.
     max_others : N
         Stop when N other poses are found.
     """

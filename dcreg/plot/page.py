@@ -29,7 +29,7 @@ const drawn = (async () => {
   const config = { displaylogo: false, responsive: true };
   const draw = ({ data, layout }, at) => {
     const { eye } = layout.scene.camera;
-    // plotly scales a scene by the height of its figure
+    // Plotly scales a scene by the height of its figure; move back so that it fits the width of a phone
     if (window.innerWidth < 600) for (const axis in eye) eye[axis] *= 1.35;
     return library.newPlot(`figure${at}`, data, layout, config);
   };

@@ -280,7 +280,7 @@ def _checked_axis(axis: Any, d: int) -> np.ndarray | None:
         return None
     if d != 3:
         raise InputError(
-            "axis: only rigid3d has one; omit axis, as all rotations in 2D have the same"
+            "axis: only rigid3d has an axis; omit axis, because rotations in 2D have none"
         )
     vector = _vector("axis", axis, d)
     length = float(np.linalg.norm(vector))

@@ -140,6 +140,7 @@ class Alternatives(Answer):
         """Return plain values for JSON."""
         names = (
             "status", "is_complete", "is_unique", "min_displacement", "threshold", "lower_bound",
+            "time_s",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         others = [vars(each) for each in self.others]
@@ -154,9 +155,8 @@ class Alternatives(Answer):
         bound = f"{self.lower_bound:.6g} (RMS residual {residual:.4g})"
         bound += " for every distinct pose that is not listed"
         if not self.result.is_exact:
-            bound += (
-                f", {self.lower_bound / self.result.upper_bound:.4g} times that of the best pose"
-            )
+            ratio = self.lower_bound / self.result.upper_bound
+            bound += f"; {ratio:.4g} times the objective of the best pose"
         yield "lower bound", bound
         for each in self.others:
             yield "other pose", f"objective {each.objective:.6g}, {each.motion}"
@@ -219,10 +219,11 @@ def alternatives(
     noise : float, optional
         A pose is also nearly as good if its RMS residual is at most this length, in units of the target.
         An exact fit needs such a length, because any multiple of its objective is 0. Default: a third of
-        `min_displacement`, but at most a third of the default's minimum.
+        `min_displacement`, but at most a third of 1 % of the RMS radius of the target.
     isolated : float, optional
-        As `min_displacement`. In addition, the lower bound is raised above the threshold: until a pose
-        has nearly this objective, until the bounds reach no further, or until the time is over.
+        Replaces `min_displacement`. In addition, the lower bound is raised beyond the threshold, until a
+        distinct pose with nearly this objective is known, until a larger bound cannot be proven, or until
+        a limit.
     max_others : int
         The search ends when it has found this many other poses. A sphere has infinitely many.
     rel_gap, abs_gap, tol, node_limit, memory_limit_mb
@@ -261,7 +262,7 @@ def alternatives(
 
 @dataclass(frozen=True)
 class Question:
-    """Which poses are searched for; see `dcreg.alternatives`."""
+    """The definition of other poses: the parameters of `dcreg.alternatives`."""
 
     ratio: float
     min_displacement: float | None
@@ -270,7 +271,7 @@ class Question:
     max_others: int
 
     def check(self, problem: Problem) -> None:
-        """Refuse values that make no sense.
+        """Reject values outside their domains.
 
         Raises
         ------
@@ -283,7 +284,7 @@ class Question:
         check_positive("noise", self.noise)
         check_positive("max_others", self.max_others, such_as=20, optional=False)
         if None not in (self.min_displacement, self.isolated):
-            raise InputError("isolated: replaces min_displacement; give one of the two")
+            raise InputError("isolated: replaces min_displacement; omit one of the two")
 
 
 def find_alternatives(

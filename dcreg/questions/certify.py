@@ -53,8 +53,8 @@ class Certified(Answer):
     T_target_source : (d+1, d+1) array
         The given pose; if its last digits make it inadmissible, the nearest admissible one.
     objective : float
-        Its sum of squared residuals over the cheapest `n_inliers` pairs, in squared units of the target;
-        with weights or attributes, the sum of the costs of pairs.
+        The minimum sum of squared residuals of `n_inliers` one-to-one pairs at this pose, in squared
+        units of the target; with weights or attributes, the minimum sum of the costs of pairs.
     lower_bound : float
         No pose has a lower objective.
     gap_tol : float

@@ -25,7 +25,7 @@ STAGE = "other poses"  # in events
 INNER = 0.5, 1.0 / 3.0
 _ROUNDING = 1e-9  # relative
 RAISE = 1.5  # factor by which a bound is raised
-LEAST_RAISE = 1.01  # a smaller factor is not worth a search
+MIN_RAISE = 1.01  # smaller factors are not tried
 
 # A pose and its objective, in normalised units.
 Known = tuple[np.ndarray, float]
@@ -104,17 +104,17 @@ class Search:
     def raised(
         self, lower_bound: float, known: list[Known], minima: list[Known], budget: Budget
     ) -> float:
-        """Raise the lower bound of all other poses until one of them is near it, or until a limit."""
+        """Raise the lower bound on all other poses until one of them is near it, or until a limit."""
         most = math.inf
         while True:
             aim = min(RAISE * lower_bound, most)
             grown = self._grown(1.0 - INNER[0], aim)
             aim = min(aim, grown / (1.0 + _ROUNDING) ** 2 or math.inf)
-            if aim < LEAST_RAISE * lower_bound or budget.is_over:
+            if aim < MIN_RAISE * lower_bound or budget.is_over:
                 return lower_bound
             found = self._next(known, minima, budget, aim)
             if found.pose is not None:
-                most = found.pose[1] / LEAST_RAISE
+                most = found.pose[1] / MIN_RAISE
                 continue
             lower_bound = max(lower_bound, found.lower_bound)
             if lower_bound <= aim:
@@ -129,7 +129,7 @@ class Search:
         far = Far.of(poses, distance, source)
         if any(value <= threshold and far.contains(T) for T, value in minima):
             return self._search(far, minima, budget, threshold)
-        # in 2D all bounds hold for every pose, and only a known translation makes stationary poses few
+        # In 2D all bounds hold for every pose. Stationary poses are few only if the translation is known.
         only_stationary = self.normalised.dim == 3 or len(source) == len(self.normalised.target)
         for share in INNER if only_stationary else ():
             grown = self._grown(1.0 - share, threshold)
@@ -143,9 +143,10 @@ class Search:
         return self._search(far, minima, budget, threshold)
 
     def _grown(self, share: float, threshold: float) -> float:
-        """Return a lower bound on the cost of every matching beyond this share of the distance.
+        """Return a lower bound on the cost of a matching at a pose far from its best pose.
 
-        It holds for costs up to the threshold; 0 if it is not known.
+        Far means: by more than this share of the distance. The bound holds for costs up to the threshold;
+        it is 0 if none is known.
 
         Let all source points be matched, and let a pose T farther than D from the known ones have an
         objective below the threshold C, with the matching P. If the best pose of P is farther than D - d
@@ -185,7 +186,7 @@ class Search:
         if ends:
             T, value = min(ends, key=lambda each: each[1])
             start = Start(attempt.space.parameter(T), value)
-        elif len(region.poses) > 1:  # the shape is symmetric, so there may be more poses
+        elif len(region.poses) > 1:  # the shape may be symmetric and have more such poses
             start = attempt.start(budget)
         else:
             start = Start(attempt.bound.roots[0].centre)

@@ -1,7 +1,7 @@
-"""Which questions work with which model, mode and option: found by asking the command line.
+"""Tables of the models, modes and options that each command accepts, generated from the command line.
 
-Each combination is called on a small problem, up to the start of the search. So the answer is that of the
-checks of the program, and there is no second list of what it accepts.
+Each combination is called on a small problem, up to the start of the search. The tables therefore show
+what the checks of the program accept; there is no second list to maintain.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from dcreg.names import MODEL_DIM, mode_files
 
 N_POINTS = 6
 NO_OPTION, NO_NUMBER = "no option", "no `--n-inliers`"
-# Options, with values for the problem of `problem_files`.
+# Options with values that fit the files of `problem_files`.
 OPTIONS = {
     NO_OPTION: "",
     NO_NUMBER: "",
@@ -47,7 +47,7 @@ OPTIONS = {
     "--downsample": "--downsample 5",
     "--max-rms": "--max-rms 1",
 }
-# Values of what a command requires.
+# Values of required arguments and options.
 REQUIRED = {
     "pose": "pose{dim}.txt", "source": "cloud{dim}.txt", "target": "cloud{dim}.txt",
     "pairs": "pairs{dim}.csv", "out_path": "out.csv", "distance": "1", "n_inliers": "1.0",
@@ -61,7 +61,7 @@ def program() -> Any:
 
 
 class Combination(NamedTuple):
-    """A question, a model with a mode, and an option."""
+    """A command (question), a model with a mode, and an option."""
 
     question: str
     model: str
@@ -80,7 +80,7 @@ class Combination(NamedTuple):
                 name = [] if each.param_type_name == "argument" else [each.opts[0]]
                 found += [] if is_left_out else [*name, REQUIRED[each.name]]
         found += ["--model", self.model]
-        if has_mode or (self.model, self.mode) == ("rigid3d", "paper"):  # the others are defaults
+        if has_mode or (self.model, self.mode) == ("rigid3d", "paper"):  # other modes are defaults
             found += ["--mode", self.mode]
         found += OPTIONS[self.option].split()
         return [part.format(dim=MODEL_DIM[self.model]) for part in found]
@@ -91,7 +91,7 @@ class Combination(NamedTuple):
 
 
 class _Started(BaseException):
-    """A search has passed all checks."""
+    """Raised where a search would start: all checks have passed."""
 
 
 def _start(*_: Any, **__: Any) -> None:
@@ -99,8 +99,8 @@ def _start(*_: Any, **__: Any) -> None:
 
 
 def refusal(arguments: list[str]) -> str:
-    """Return the message by which a command is refused in the folder of a problem, or nothing."""
-    Path("out.csv").unlink(missing_ok=True)  # a batch would continue it
+    """Return the error message of a command, or nothing if its search starts."""
+    Path("out.csv").unlink(missing_ok=True)  # otherwise, a batch would continue it
     printed, code = io.StringIO(), 0
     try:
         with redirect_stdout(printed), redirect_stderr(printed):
@@ -116,7 +116,7 @@ def refusal(arguments: list[str]) -> str:
 
 @contextmanager
 def problem_files() -> Iterator[None]:
-    """Work in a folder with the files of a small problem, where searches end at their start."""
+    """Enter a folder with the files of a small problem; searches stop at their start."""
     before = Path.cwd()
     with ExitStack() as stack:
         os.chdir(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -167,7 +167,7 @@ def refusals() -> dict[Combination, str]:
 
 
 def works(question: str, option: str, kind: tuple[str, str] | None = None) -> bool:
-    """Tell whether a question works with an option, for one kind of pose and mode or for any."""
+    """Tell whether a question works with an option, for one model and mode or for any."""
     kinds = list(mode_files()) if kind is None else [kind]
     return any(not refusals()[Combination(question, *each, option)] for each in kinds)
 
@@ -181,7 +181,7 @@ def cells() -> list[bool]:
 
 
 def tables() -> str:
-    """Return both tables, with their shares of cells that work."""
+    """Return both tables and the numbers of cells and combinations that work."""
     letters = dict(zip(mode_files(), string.ascii_uppercase, strict=False))
 
     def row(option: str) -> list[str]:
@@ -202,8 +202,9 @@ def tables() -> str:
     ]
     every, found = refusals().values(), cells()
     share = (
-        f"{sum(found)} of the {len(found)} cells of both tables work. Of all {len(every)} combinations "
-        f"of question, model, mode and at most one option, {sum(not each for each in every)} work."
+        f"{sum(found)} of the {len(found)} cells of both tables have an entry. Of all {len(every)} "
+        f"combinations of command, model, mode and at most one option, {sum(not each for each in every)} "
+        "work."
     )
     options = table(["option", *(f"`{q}`" for q in questions())], by_option)
-    return "\n\n".join([table(["question", *kinds], by_mode), options, share])
+    return "\n\n".join([table(["command", *kinds], by_mode), options, share])

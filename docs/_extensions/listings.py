@@ -58,7 +58,7 @@ def modes() -> str:
 
 
 def questions() -> str:
-    """Which questions work with which mode and option."""
+    """Which commands work with which model, mode and option."""
     from combinations import tables
 
     return tables()

@@ -74,10 +74,16 @@ def test_the_tables_have_every_question_mode_and_option():
     ("cell", "words"),
     [
         (("sweep", "rigid3d", "full", "--max-rms"), "omit --max-rms, or use `dcreg register`"),
-        (("alternatives", "rigid3d", "full", "--source-weights"), "use `dcreg register` or `dcreg"),
+        (
+            ("alternatives", "rigid3d", "full", "--source-weights"),
+            "use `dcreg register`, `dcreg sweep` or `dcreg certify`$",
+        ),
         (("register", "similarity3d", "full", "--axis"), "--axis: not supported by similarity3d;"),
         (("register", "rigid3d", "paper", "--source-weights"), "in mode 'paper'; use mode 'full'$"),
-        (("register", "similarity2d", "paper", "--axis"), "--axis: only rigid3d has one; omit"),
+        (
+            ("register", "similarity2d", "paper", "--axis"),
+            "--axis: only rigid3d has an axis; omit axis,",
+        ),
     ],
 )
 def test_messages(refusals, cell, words):

@@ -5,8 +5,10 @@ import re
 import subprocess
 import sys
 import tomllib
+from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import dcreg
@@ -112,6 +114,17 @@ def test_every_json_key_is_documented():
     table = text_of(DOCS / "results.md").partition("## JSON keys")[2].partition("\n## ")[0]
     rows = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
     assert set(re.findall(r"`(\w+)`", " ".join(rows))) == result.to_dict().keys()
+
+
+def test_attributes_of_answers_are_keys_of_their_json():
+    points, T = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]]), np.eye(3)
+    given = {"n_inliers": 3, "model": "similarity2d"}
+    answers = [
+        dcreg.certify(points, points, T, **given), dcreg.alternatives(points, points, **given),
+        dcreg.max_inliers(points, points, distance=0.1, model="similarity2d"), dcreg.Report(),
+    ]  # fmt: skip
+    for answer in answers:
+        assert {field.name for field in fields(answer)} <= answer.to_dict().keys()
 
 
 def test_every_bound_and_status_is_documented():

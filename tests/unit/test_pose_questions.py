@@ -226,7 +226,7 @@ def test_a_shape_without_symmetry_has_one_pose():
     found = dcreg.alternatives(SOURCE, TARGET, **KEYWORDS)
     assert found.is_unique
     assert found.lower_bound >= 1.5 * found.result.upper_bound
-    words, _, ratio = dict(found.entries())["lower bound"].partition(", ")
+    words, _, ratio = dict(found.entries())["lower bound"].partition("; ")
     assert words.startswith(f"{found.lower_bound:.6g} (RMS residual ")
     assert float(ratio.split()[0]) >= 1.5
 
@@ -265,7 +265,7 @@ def test_an_exact_fit_meets_every_residual_and_a_refuted_one_stays_refuted():
         ({"isolated": 1e-12}, "isolated: 1e-12 .*; give a number of at least"),
         (
             {"isolated": 0.1, "min_displacement": 0.1},
-            "isolated: replaces min_displacement; give one",
+            "isolated: replaces min_displacement; omit one",
         ),
         ({"noise": 0.0}, "noise: 0.0 is not a usable value"),
         ({"options": dcreg.SolveOptions(downsample=10)}, "a sample"),

@@ -1,4 +1,4 @@
-"""How long `certify` takes next to a solve: ``python -m workflows.studies.certifying OUT``.
+"""CPU time of `certify` relative to `register`: ``python -m workflows.studies.certifying OUT``.
 
 The problems are those of `workflows.studies.proof`: rigid poses in 3D or, with ``--plane``, similarities
 of side views in 2D. ``n_inliers`` is the number of true pairs. Three poses are judged:
@@ -10,11 +10,11 @@ of side views in 2D. ``n_inliers`` is the number of true pairs. Three poses are 
 ``wrong``
     this pose, turned by 120 degrees and moved by half of the extent.
 
-A solve and a `certify` of each pose alternate, with one thread, in reverse order in every second round.
-Times are CPU times; the shortest ones are compared, because other work on the machine can only add to
-them. The study writes ``certifying.csv``, a row per problem and pose with the ratio of the shortest
-times, the range of the ratio over the rounds, and the ratio of the numbers of boxes. It leaves out
-problems that are not proven within the limit, or that are solved in less than ``--least`` seconds.
+A round solves the problem and calls `certify` for each pose, with one thread; every second round has the
+reverse order. Times are CPU times. The minima over the rounds are compared, because other work on the
+machine can only increase the times. The study writes ``certifying.csv``, a row per problem and pose: the
+ratio of the minimum times, the range of the ratio over the rounds, and the ratio of the numbers of boxes.
+It omits problems that are not proven within the limit or are solved in less than ``--least`` seconds.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def main(
     points: Annotated[int, typer.Option(help="points per shape")] = 80,
     rounds: Annotated[int, typer.Option(help="solves of each problem")] = 3,
     limit: Annotated[float, typer.Option(help="seconds per solve")] = 60.0,
-    least: Annotated[float, typer.Option(help="CPU seconds of the shortest solve")] = 0.3,
+    least: Annotated[float, typer.Option(help="CPU seconds; omit faster solves")] = 0.3,
     tests: Annotated[str, typer.Option(help="tests, comma-separated")] = ",".join(TESTS),
     shapes: Annotated[str, typer.Option(help="datasets, comma-separated")] = ",".join(SHAPES),
     plane: Annotated[bool, typer.Option(help="2D similarities of side views")] = False,
@@ -65,7 +65,7 @@ def main(
 
 
 def compared(raw: RawInstance, rounds: int, limit: float, least: float) -> list[dict[str, object]]:
-    """Return a row per pose; none if the problem is not proven, or solved too soon."""
+    """Return a row per pose; none if the problem is not proven or is solved too fast."""
     question = Question(raw, limit)
     given: dict[str, Any] = {
         **question.keywords, "n_inliers": question.n_inliers, "time_limit": limit,

@@ -1,10 +1,10 @@
-"""How far ahead the best pose is, proven: ``python -m workflows.studies.isolation OUT``.
+"""The margin of the best pose: ``python -m workflows.studies.isolation OUT``.
 
-Every problem is a shape of 100 points (``--points``) and a copy of it with noise, in a random pose; all
-points are matched. `dcreg.alternatives` proves a lower bound L2 on the objective of every pose that moves
-the points by more than ``--isolated`` from the best one, whose objective is U. The bound is *reached* if
-L2 is at least 1.5 U and no other pose is listed. For an exact fit, it is reached if L2 exceeds the
-objective at an RMS residual of ``--noise``. It is *false* if the pose of the true pairs contradicts it.
+Every problem is a shape of 100 points (``--points``) and a noisy copy in a random pose; all points are
+matched. U is the objective of the best pose. `dcreg.alternatives` proves a lower bound L2 on the
+objective of every pose that displaces the points by more than ``--isolated`` relative to the best pose.
+The bound is *reached* if no other pose is listed and L2 exceeds both 1.5 U and the objective at an RMS
+residual of ``--noise``. It is *false* if the best pose for the true pairs contradicts it.
 Lengths are relative to the longest side of the shape. The study writes ``isolation.csv``, a row per
 problem, and ``isolation_summary.csv``, a row per dimension and level of noise.
 """
@@ -42,7 +42,7 @@ def main(
     limit: Annotated[float, typer.Option(help="seconds per problem")] = 10.0,
     points: Annotated[int, typer.Option(help="points per shape")] = 100,
     isolated: Annotated[float, typer.Option(help="displacement from the best pose")] = 0.15,
-    noise: Annotated[float, typer.Option(help="RMS residual to exceed if a fit is exact")] = 0.01,
+    noise: Annotated[float, typer.Option(help="RMS residual that the bound must exceed")] = 0.01,
     threads: Annotated[int, typer.Option(help="threads per problem")] = 1,
 ) -> None:
     """Prove the bounds; print and store the tables."""
@@ -84,7 +84,7 @@ def bounded(
 
 
 def summary(problems: pd.DataFrame) -> pd.DataFrame:
-    """Return a row per dimension and level: right answers, those whose bound is reached, and medians."""
+    """Return a row per dimension and level: counts, and medians over the right answers."""
     right = problems[problems["right"]]
     grouped = right.groupby(["dim", "level"])
     table = grouped.agg(

@@ -1,10 +1,11 @@
 """``python -m workflows.studies.questions``: every question about one pair of 3DMatch fragments.
 
-There are two columns of answers. For the first one, the clouds are 100 keypoints of each of two fragments
-that overlap, and the feasible pairs of a source keypoint are those with the nearest descriptors of the
-target. For the second one, the clouds are the keypoints that have a counterpart within 0.1 m at the
-official pose, and all pairs are feasible. The official pose is otherwise known to `certify` and to the
-ranges of poses only. The table is that of the page *Questions* of the manual, `TABLE`.
+The table has two columns of answers. In the first one, the clouds are 100 keypoints of each of two
+overlapping fragments, and the feasible pairs join every source keypoint to the target keypoints with the
+nearest descriptors. In the second one, the clouds are the keypoints with a counterpart within 0.1 m at
+the official pose (the ground truth), and all pairs are feasible. Apart from this selection, only
+`certify` and the ranges of poses receive the official pose. The page *Questions* of the manual includes
+the table.
 """
 
 from __future__ import annotations
@@ -34,7 +35,20 @@ TABLE = Path(__file__).parents[2] / "docs" / "tables" / "questions.md"
 
 @dataclass(frozen=True)
 class Asked:
-    """A pair of clouds, and what is known about it."""
+    """A pair of clouds with its official pose and the arguments of the questions.
+
+    Attributes
+    ----------
+    clouds : (source, target)
+    T_official : (4, 4) array
+    distinct : (n,) array
+        Weights of the source points, see `distinctness`.
+    limit : float
+        Seconds per question.
+    candidates : array, optional
+    n_inliers : int, optional
+        Default: the number of pairs within `DISTANCE` that `max_inliers` finds.
+    """
 
     clouds: tuple[np.ndarray, np.ndarray]
     T_official: np.ndarray
@@ -91,7 +105,7 @@ def main(
 
 
 def distinctness(source: Keypoints, target: Keypoints) -> np.ndarray:
-    """Return how much farther the second nearest descriptor is than the nearest one, as a ratio."""
+    """Return the distance to the second nearest descriptor, divided by that to the nearest one."""
     distances, _ = cKDTree(target.features).query(source.features, k=2)
     return np.asarray(distances[:, 1] / np.maximum(distances[:, 0], 1e-9))
 
@@ -113,8 +127,9 @@ def answers(asked: Asked) -> Iterator[tuple[str, str]]:
     chosen = replace(asked, n_inliers=None).register()
     evidence = chosen.chosen_number
     assert evidence is not None
-    near = f" ({evidence.low} to {evidence.high} fit nearly as well)"
-    yield "how many pairs to match, if the library chooses?", f"{chosen.n_inliers}{near}"
+    is_only = evidence.low == evidence.high
+    near = "no other number fits" if is_only else f"{evidence.low} to {evidence.high} fit"
+    yield "how many pairs does the library choose?", f"{chosen.n_inliers} ({near} nearly as well)"
     asked = replace(asked, n_inliers=asked.n_inliers or count.at_least)
     yield "number *k* of pairs in the questions below", str(asked.n_inliers)
     found = asked.register()
@@ -125,37 +140,38 @@ def answers(asked: Asked) -> Iterator[tuple[str, str]]:
     for most in (DISTANCE, DISTANCE / 10.0):
         met = asked.register(max_rms=most)
         answer = "yes" if met.rmse_matched <= most else "no" * (met.status == "refuted") or "open"
-        yield f"do *k* pairs fit to {most:g} m (RMS)?", f"{answer}: `{met.status}`"
+        yield f"do *k* pairs fit with an RMS residual of {most:g} m?", f"{answer}: `{met.status}`"
     yield from _in_ranges(asked)
     weights = dcreg.PointWeights(source=asked.distinct, distance=DISTANCE)
     weighted = asked.register(weights=weights)
-    yield "which pose, with weights for distinct descriptors?", asked.described(weighted)
+    yield "which pose is best with weights for distinctive descriptors?", asked.described(weighted)
     free = asked.register("similarity3d")
-    yield "which scale, if it is free (`similarity3d`)?", f"{free.scale:.3f}; {proven(free)}"
+    yield "which scale is best (`similarity3d`)?", f"{free.scale:.3f}; {proven(free)}"
     yield "how uncertain is the pose (standard deviations)?", _uncertainty(found)
     kept = asked.register(options=dcreg.SolveOptions(certificate=True))
     report = dcreg.verify(kept.certificate, *asked.clouds)
-    bounds = f"{report.lower_bound:.4g} to {report.upper_bound:.4g} m²"
-    yield "does `verify` accept the proof file?", f"`{report.verdict}`: the minimum is {bounds}"
+    bounds = f"lower bound {report.lower_bound:.4g} m², upper bound {report.upper_bound:.4g} m²"
+    yield "does `verify` accept the certificate?", f"`{report.verdict}`: {bounds}"
 
 
 def _certified(asked: Asked) -> str:
     """Judge the official pose."""
     judged = dcreg.certify(*asked.clouds, asked.T_official, **asked.given)
     return (
-        f"`{judged.verdict}`: its objective is {judged.objective:.3g} m², the best one known "
-        f"{judged.result.objective:.3g} m²; none is below {judged.lower_bound:.3g} m²"
+        f"`{judged.verdict}`: objective {judged.objective:.3g} m², best objective found "
+        f"{judged.result.objective:.3g} m², lower bound {judged.lower_bound:.3g} m²"
     )
 
 
 def _in_ranges(asked: Asked) -> Iterator[tuple[str, str]]:
     """Ask for the best pose in two ranges of poses."""
     near = dcreg.PoseRange(max_angle=20.0, around=asked.T_official)
-    yield "which pose within 20° of the official one?", proven(asked.register(pose_range=near))
+    best = asked.register(pose_range=near)
+    yield "which pose is best within 20° of the official pose?", proven(best)
     turn = asked.T_official[:3, :3]
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     known = asked.register(pose_range=dcreg.PoseRange(axis=axis))
-    yield "which pose, if the axis of the official rotation is known?", asked.described(known)
+    yield "which pose is best with the axis of the official rotation?", asked.described(known)
 
 
 def proven(found: dcreg.Result) -> str:
@@ -164,7 +180,7 @@ def proven(found: dcreg.Result) -> str:
 
 
 def _uncertainty(found: dcreg.Result) -> str:
-    """Return the standard deviations of the directions, and the open ones."""
+    """Return the standard deviations of the pose and the number of open directions."""
     if found.covariance is None:
         return "not determined"
     sigma = np.sqrt(np.diag(found.covariance))

@@ -21,8 +21,8 @@ If k = n = m and both clouds are centred, t is 0 and the objective is
 
 where S_xx and S_yy are the sums of squared norms. The best rotation and matching maximise G, whatever
 the scale. So they are those of the rigid problem at any fixed scale, and the best scale is G / S_xx,
-clipped to the range. Only rotations are then searched; boxes are never divided along the scale. This does
-not hold with weights or attributes, because the best matching then depends on the scale.
+clipped to the range. Only rotations are then searched; boxes are never divided along the scale. With
+weights or attributes this does not hold, because the best matching then depends on the scale.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class Similarity3D(Poses3D):
     usual_scale : float
         The scale at which both clouds have the same spread, clipped to the range.
     only_rotates : bool
-        Whether all points of both clouds match, the clouds are centred and pairs have no weights.
+        Whether all points of both clouds are matched, the clouds are centred, and there are no weights.
     """
 
     scope = SIMILARITY_POSE

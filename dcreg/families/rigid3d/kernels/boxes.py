@@ -3,7 +3,7 @@
 A box has seven axes: four of a quaternion, three of the translation of y = R x + t. Point sets are
 stored by axis, (3, n) and (3, m). `dcreg.families.rigid3d.bound` proves the bounds.
 
-Two kernels share the work, so a search over few pairs does not need to compile the first:
+Two kernels share the work, so that a search over few pairs does not compile the first:
 `bound_boxes_by_duals` bounds boxes by duals, `bound_boxes` by caps and by exact assignments.
 """
 
@@ -112,7 +112,7 @@ def is_small(box, radius, k, cutoff):
 
 @jit
 def bound_boxes(lower, upper, cutoff, clouds, limits, found):
-    """Bound the boxes that `bound_boxes_by_duals` leaves over; return the number of assignments.
+    """Bound the boxes that `bound_boxes_by_duals` leaves; return the number of assignments.
 
     Boxes without a bound are bounded by caps, small boxes by an exact assignment.
 
@@ -175,7 +175,7 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
 
 @jit
 def bound_boxes_by_duals(lower, upper, cutoff, clouds, limits, found, work):
-    """Bound boxes by duals, but not wide ones; `work` is a `Workspace`."""
+    """Bound all but the wide boxes by duals; `work` is a `Workspace`."""
     m, k = clouds.target.shape[1], clouds.k
     view = empty_view(clouds)
     radius, farthest = extent(clouds.source)

@@ -31,7 +31,7 @@ class VertexTable(NamedTuple):
     values : (S,) array
         Lower bounds on the minimum sum of costs; -inf if not yet computed.
     is_final : (S,) bool array
-        Whether the value is requested now, or another request cannot improve it.
+        Whether the value is being computed, or another request cannot improve it.
     """
 
     table: np.ndarray
