@@ -11,6 +11,7 @@ from dcreg.names import READ_SUFFIXES
 
 TABLE = "pairs.csv"  # the table of a folder
 ENDS = "_source", "_target"  # of the names of the files of a pair
+RESULTS = b"source,target,source_id,target_id,status,"  # the beginning of a table of results
 
 
 def pairs_of_folder(folder: Path, out: Path) -> list[dict[str, str]]:
@@ -38,9 +39,11 @@ def pairs_of_folder(folder: Path, out: Path) -> list[dict[str, str]]:
         for path in folder.iterdir()
         if path.suffix.lower() in READ_SUFFIXES
         and not path.name.startswith(".")
+        and path.is_file()
         and path.resolve() != out.resolve()
+        and not _is_results(path)
     ]
-    clouds.sort(key=lambda path: in_order(path.name))
+    clouds.sort(key=lambda path: (in_order(path.name), path.name))
     sources, targets = (_by_name(folder, clouds, end) for end in ENDS)
     for found, others, end in ((sources, targets, ENDS[1]), (targets, sources, ENDS[0])):
         for name in sorted(found.keys() - others.keys()):
@@ -70,6 +73,14 @@ def _by_name(folder: Path, clouds: list[Path], end: str) -> dict[str, str]:
     return found
 
 
+def _is_results(path: Path) -> bool:
+    """Tell whether a file is a table of results, such as that of an earlier call."""
+    if path.suffix.lower() != ".csv":
+        return False
+    with path.open("rb") as stream:
+        return stream.readline(len(RESULTS)) == RESULTS
+
+
 def _ambiguous(folder: Path, message: str) -> dcreg.InputError:
     return dcreg.InputError(f"{folder}: {message}, or list the pairs in {folder / TABLE}")
 
@@ -77,5 +88,5 @@ def _ambiguous(folder: Path, message: str) -> dcreg.InputError:
 def in_order(name: str) -> list[tuple[int, str]]:
     """Return a key that sorts numbers by value: scan2 comes before scan10."""
     return [
-        (int(part or 0), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name)
+        (int(part or 0), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)
     ]

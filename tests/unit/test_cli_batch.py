@@ -12,6 +12,7 @@ import pytest
 
 import dcreg
 from dcreg.cli import batch
+from dcreg.cli.folder import in_order
 from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Task, failed
 from dcreg.cli.workers import solve_all
@@ -238,6 +239,20 @@ def test_a_folder_without_a_table_holds_consecutive_scans(table, solved):
     with (folder / "out.csv").open(newline="") as stream:
         found = [(row["source_id"], row["target_id"]) for row in csv.DictReader(stream)]
     assert found == [("1", "0"), ("2", "1")]
+
+
+def test_tables_of_results_and_folders_are_no_clouds(table, solved):
+    folder = table.parent
+    table.unlink()
+    assert folder_call(folder).exit_code == 0
+    (folder / "more.txt").mkdir()
+    (folder / "out.csv").rename(folder / "first.csv")
+    assert folder_call(folder).exit_code == 0
+    assert len((folder / "out.csv").read_text().splitlines()) == 3
+
+
+def test_names_with_superscripts_and_equal_numbers_have_an_order():
+    assert sorted(["a3\u00b21.txt", "a3.txt", "a2.txt"], key=in_order)[0] == "a2.txt"
 
 
 def test_the_table_of_a_folder_names_its_pairs(table, solved):
