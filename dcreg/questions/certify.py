@@ -28,6 +28,7 @@ from dcreg.problem import (
     rounding_error,
     scale_of,
 )
+from dcreg.problem.weights import WEIGHTED
 from dcreg.result import Result
 
 if TYPE_CHECKING:
@@ -59,6 +60,8 @@ class Certified(Answer):
         No pose has a lower objective.
     gap_tol : float
         The gap that counts as closed.
+    is_exact : bool
+        The objective is 0 up to rounding.
     displacement : float
         RMS displacement of the source points between the given pose and that of `result`.
     angle_deg : float
@@ -72,6 +75,7 @@ class Certified(Answer):
     objective: float
     lower_bound: float
     gap_tol: float
+    is_exact: bool
     displacement: float
     angle_deg: float
     result: Result
@@ -97,7 +101,7 @@ class Certified(Answer):
         """Return plain values for JSON."""
         names = (
             "verdict", "T_target_source", "objective", "lower_bound", "max_improvement", "gap_tol",
-            "displacement", "angle_deg",
+            "is_exact", "displacement", "angle_deg",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "result": self.result.to_dict()})
@@ -107,12 +111,17 @@ class Certified(Answer):
         k = self.result.n_inliers
         yield "given pose", self.answer
         pairs, rms = text.count(k, "pair"), np.sqrt(self.objective / k)
-        # with attributes, the objective is more than residuals
-        about = f"RMS residual {rms:.6g} over " if self.result.attribute_cost is None else ""
+        # with attributes or weighted points, the objective is not the sum of squared residuals
+        is_plain = (
+            self.result.attribute_cost is None and WEIGHTED not in self.result.certificate_scope
+        )
+        about = f"RMS residual {rms:.6g} over " if is_plain else ""
         yield "objective", f"{self.objective:.6g} ({about}{pairs})"
         share = self.max_improvement / self.objective if self.objective > 0.0 else 0.0
         meaning = f"no pose lowers the objective by more than {_percent_above(share)}"
-        if share == 1.0:
+        if self.is_exact:
+            meaning = "the fit is exact up to rounding"
+        elif share == 1.0:
             meaning = "nothing is proven, because every sum of squares is at least 0"
         yield "lower bound", f"{self.lower_bound:.6g}: {meaning}"
         if self.verdict != OPTIMAL:
@@ -250,11 +259,12 @@ def _judged(
     verdict = OPEN
     # a lower bound of 0 holds for every sum of squares
     proves = lower_bound > 0.0 or value <= exact
+    displacement = Moments.of(source).displacement(best, T)
     if proves and value - lower_bound <= allowed * (1.0 + _ROUNDING):
         verdict = OPTIMAL
     elif result.objective < value - _NOTABLE * allowed:
         verdict = IMPROVABLE
     return Certified(
-        verdict, T, value, lower_bound, allowed, Moments.of(source).displacement(best, T),
-        angle_between_deg(best, T), result,
+        verdict, T, value, lower_bound, allowed, value <= exact, displacement, angle_between_deg(best, T),
+        result,
     )  # fmt: skip
