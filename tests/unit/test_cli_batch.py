@@ -429,6 +429,8 @@ def test_a_bad_table_is_refused(table, solved, text, words):
             "--model: 'rigid2d' is unknown; known: similarity2d, rigid3d, similarity3d",
         ),
         (["--out", "o.txt"], "--out o.txt: the name must end in .csv"),
+        (["--max-rms", "0"], "--max-rms: 0.0 is no positive finite number"),
+        (["--max-rms", "0.1", "--n-inliers", "auto"], "--n-inliers: missing for 0.txt 1.txt, but"),
         (["--graph", "o.txt"], "--graph o.txt: the name must end in .g2o"),
         (["--graph", "absent/o.g2o"], "no folder 'absent'; create it first"),
     ],
