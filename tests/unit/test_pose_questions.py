@@ -109,6 +109,13 @@ def test_a_mode_without_poses_is_refused_without_settings_that_were_not_given(op
         dcreg.max_inliers(SOURCE, TARGET, distance=0.1, model="rigid3d", options=options)
 
 
+def test_a_checkpoint_of_another_pose_is_refused_without_matrices(tmp_path):
+    options = dcreg.SolveOptions(checkpoint=tmp_path / "state.npz")
+    dcreg.certify(SOURCE, TARGET, POSE, **KEYWORDS, options=options)
+    with pytest.raises(dcreg.InputError, match=r"from another pose; give the same [^\[]*$"):
+        dcreg.certify(SOURCE, TARGET, np.eye(4), **KEYWORDS, options=options)
+
+
 # --- alternatives ----------------------------------------------------------------------------------
 
 
