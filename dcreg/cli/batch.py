@@ -6,6 +6,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 import signal
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -26,7 +27,7 @@ from dcreg.cli.options import Goal, Poses, Search
 from dcreg.cli.pair import Row, Task, answer_of, columns, edge_of, failed, is_matched
 from dcreg.cli.workers import solve_all
 from dcreg.files import write_text
-from dcreg.names import MODEL_DIM
+from dcreg.names import AUTO, MODEL_DIM
 
 _FAILED = failed("")["status"]
 _FINISHED = tuple(
@@ -71,6 +72,7 @@ class Batch:
         out, graph = files.out_path, files.graph_path
         self._check(graph, jobs)
         names = self._pairs_of_folder(out) if self.pairs.is_dir() else self._names()
+        self._check_numbers(names)
         tasks = self._tasks(names, 1 if jobs > 1 else None)
         inputs = [str(self.pairs), self.search.candidates_path, self.poses.init]
         files.check(*inputs, *(file for task in tasks for file in (task.source, task.target)))
@@ -103,6 +105,19 @@ class Batch:
                 f"--graph {graph}: g2o holds rigid poses only; fix the scale with --scale-range 1 1"
             )
 
+    def _check_numbers(self, names: list[Row]) -> None:
+        """Refuse a maximum residual that makes no sense, or pairs without a number for it."""
+        if self.goal.max_rms is None:
+            return
+        if not 0.0 < self.goal.max_rms < math.inf:
+            raise dcreg.InputError(f"--max-rms: {self.goal.max_rms} is no positive finite number")
+        for row in names:
+            if row["n_inliers"] == AUTO:
+                raise dcreg.InputError(
+                    f"--n-inliers: missing for {row['source']} {row['target']}, but --max-rms needs it; "
+                    "give a number for all pairs, or for each pair in the table of pairs"
+                )
+
     def _pairs_of_folder(self, out: Path) -> list[Row]:
         """Return the pairs of a folder without a table."""
         parse_count_or_auto(self.goal.n_inliers)
@@ -124,7 +139,7 @@ class Batch:
         except (OSError, UnicodeDecodeError, csv.Error) as error:
             reason = getattr(error, "strerror", None) or error
             raise dcreg.InputError(
-                f"{self.pairs}: cannot be read ({reason}); give a table of pairs in UTF-8"
+                f"{self.pairs}: cannot be read ({reason}); give a table of pairs in UTF-8, or a folder"
             ) from None
         if not rows:
             raise dcreg.InputError(f"{self.pairs}: contains no pairs; give one per line")

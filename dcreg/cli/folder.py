@@ -12,6 +12,7 @@ from dcreg.names import READ_SUFFIXES
 
 TABLE = "pairs.csv"  # the table of a folder
 ENDS = "_source", "_target"  # of the names of the files of a pair
+RESULTS = b"source,target,source_id,target_id,status,"  # the beginning of a table of results
 
 
 def pairs_of_folder(folder: Path, others: Iterable[Path | str | None]) -> list[dict[str, str]]:
@@ -40,9 +41,11 @@ def pairs_of_folder(folder: Path, others: Iterable[Path | str | None]) -> list[d
         for path in folder.iterdir()
         if path.suffix.lower() in READ_SUFFIXES
         and not path.name.startswith(".")
+        and path.is_file()
         and path.resolve() not in no_clouds
+        and not _is_results(path)
     ]
-    clouds.sort(key=lambda path: in_order(path.name))
+    clouds.sort(key=lambda path: (in_order(path.name), path.name))
     sources, targets = (_by_name(folder, clouds, end) for end in ENDS)
     for found, others, end in ((sources, targets, ENDS[1]), (targets, sources, ENDS[0])):
         for name in sorted(found.keys() - others.keys()):
@@ -72,10 +75,20 @@ def _by_name(folder: Path, clouds: list[Path], end: str) -> dict[str, str]:
     return found
 
 
+def _is_results(path: Path) -> bool:
+    """Tell whether a file is a table of results, such as that of an earlier call."""
+    if path.suffix.lower() != ".csv":
+        return False
+    with path.open("rb") as stream:
+        return stream.readline(len(RESULTS)) == RESULTS
+
+
 def _ambiguous(folder: Path, message: str) -> dcreg.InputError:
     return dcreg.InputError(f"{folder}: {message}, or list the pairs in {folder / TABLE}")
 
 
 def in_order(name: str) -> list[tuple[int, str]]:
     """Return a key that sorts numbers by value: scan2 comes before scan10."""
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)]
+    return [
+        (int(part or 0), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name)
+    ]

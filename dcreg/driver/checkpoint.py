@@ -285,6 +285,8 @@ def _read(path: Path, identity: dict[str, Any]) -> dict[str, Any]:
             problem = f"was written by dcreg {old}, but this is dcreg {new}; use dcreg {old}"
         elif name in (*_ARRAYS, "attributes", "weights"):
             problem = f"belongs to another problem ({name} differs); give the same files"
+        elif name == "init":
+            problem = "belongs to a search from another pose; give the same initial or judged pose"
         else:
             problem = f"belongs to a search with {name} {old}, not {new}; give the same options"
         raise InputError(

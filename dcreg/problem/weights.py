@@ -9,6 +9,7 @@ import numpy as np
 
 from dcreg.problem.errors import InputError
 
+WEIGHTED = ", weighted points"  # in the scope of bounds
 LEAST = 1e-9  # least weight, relative to the largest one
 # So few pairs are matched exactly in a quarter of a second, even after the time limit. Only then are the
 # costs of pairs kept.
@@ -46,7 +47,7 @@ class PairWeights:
     @property
     def scope(self) -> str:
         """What the costs add to the scope of the bounds."""
-        weighted = ", weighted points" if self.are_weighted else ""
+        weighted = WEIGHTED if self.are_weighted else ""
         return weighted if self.attributes is None else weighted + ", with attributes"
 
     def costs(self, squares: np.ndarray) -> np.ndarray:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -41,6 +40,9 @@ from dcreg.status import Status
 SMALLEST_DISPLACEMENT = 1e-6
 SOLVE_SHARE = 0.5  # of the time, for the best pose
 MOST_FOLDS = 12  # of a symmetry that is named
+DISTINGUISHING = (
+    3.0  # the tolerance of its angle is at most this part of the distance of two such angles
+)
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,9 @@ class Alternative:
         Axis of this rotation, in coordinates of the target; None in 2D, or if the rotation displaces the
         points by at most `min_displacement`, as for a shift.
     fold : int, optional
-        The rotation is a multiple of 360 / `fold` degrees, up to `min_displacement`; None if there is no
-        rotation, or no such number up to `MOST_FOLDS`.
+        The rotation is a multiple of 360 / `fold` degrees, up to `min_displacement` or its default,
+        whichever is smaller; None if there is no rotation, or no such number up to `MOST_FOLDS`, or if
+        this length is too large to tell.
     """
 
     T_target_source: np.ndarray
@@ -73,8 +76,10 @@ class Alternative:
     @property
     def motion(self) -> str:
         """How it differs from the best pose, in words."""
-        about = "" if self.axis is None else f" about ({', '.join(f'{x:.3g}' for x in self.axis)})"
-        fold = "" if self.fold is None else f" (a {self.fold}-fold turn)"
+        axis = () if self.axis is None else np.round(self.axis, 3) + 0.0  # -0 becomes 0
+        about = f" about ({', '.join(f'{x:g}' for x in axis)})" if len(axis) else ""
+        article = "an" if self.fold in (8, 11) else "a"
+        fold = "" if self.fold is None else f" ({article} {self.fold}-fold turn)"
         return (
             f"rotated by {self.angle_deg:.4g} deg{about}{fold} and displaced by {self.displacement:.4g} "
             "(RMS) relative to the best pose"
@@ -318,10 +323,11 @@ def find_alternatives(
         status, lower_bound, known = search.run(best, minima, budget, question.max_others)
         if distance is not None and status is Status.OPTIMAL:
             lower_bound = search.raised(lower_bound, known, minima, budget)
-        others = [_described(setup, result, search.distance, *each) for each in known[1:]]
+        lower_bound = max(lower_bound * setup.frame.area, result.lower_bound)  # also of all poses
+        others = [_described(setup, result, search, *each) for each in known[1:]]
         area = setup.frame.area
         return Alternatives(
-            status, result, search.distance, search.threshold * area, lower_bound * area, others,
+            status, result, search.distance, search.threshold * area, lower_bound, others,
             budget.elapsed(),
         )  # fmt: skip
 
@@ -340,16 +346,35 @@ def _check(problem: Problem, options: SolveOptions) -> None:
 
 
 def _described(
-    setup: Setup, result: Result, distance: float, T: np.ndarray, value: float
+    setup: Setup, result: Result, search: Search, T: np.ndarray, value: float
 ) -> Alternative:
     pose, best, source = setup.frame.pose(T), result.T_certified, setup.problems[0].source
     moved, angle = Moments.of(source).displacement(pose, best), angle_between_deg(pose, best)
-    share = Fraction(angle / 360.0).limit_denominator(MOST_FOLDS)
     per_degree = np.radians(result.scale * rms_radius(source))  # displacement, about
-    is_fold = share.denominator > 1 and abs(angle - 360.0 * share) * per_degree <= distance
-    is_turned = angle * per_degree > distance
+    is_turned = angle * per_degree > search.distance
+    length = min(search.distance, search.usual_distance)
     return Alternative(
         pose, value * setup.frame.area, angle, moved,
         axis=rotation_axis(pose, best) if len(pose) == 4 and is_turned else None,
-        fold=share.denominator if is_fold else None,
+        fold=_fold(angle, length / per_degree) if is_turned else None,
     )  # fmt: skip
+
+
+def _fold(angle: float, tolerance: float) -> int | None:
+    """Return the smallest n > 1 such that an angle is a multiple of 360 / n degrees, up to a tolerance.
+
+    Multiples of different 360 / n with numbers up to n are at least 360 / n^2 degrees apart. If the
+    tolerance exceeds a third of this, many angles are near such a multiple by chance, and the answer is
+    None.
+
+    Examples
+    --------
+    >>> _fold(119.5, 1.0), _fold(151.6, 20.0)
+    (3, None)
+    """
+    for n in range(2, MOST_FOLDS + 1):
+        if tolerance > 360.0 / (DISTINGUISHING * n**2):
+            return None
+        if abs(angle - 360.0 / n * round(angle * n / 360.0)) <= tolerance:
+            return n
+    return None

@@ -28,6 +28,7 @@ from dcreg.problem import (
     rounding_error,
     scale_of,
 )
+from dcreg.problem.weights import WEIGHTED
 from dcreg.result import Result
 
 if TYPE_CHECKING:
@@ -59,6 +60,8 @@ class Certified(Answer):
         No pose has a lower objective.
     gap_tol : float
         The gap that counts as closed.
+    is_exact : bool
+        The objective is 0 up to rounding.
     displacement : float
         RMS displacement of the source points between the given pose and that of `result`.
     angle_deg : float
@@ -74,6 +77,7 @@ class Certified(Answer):
     objective: float
     lower_bound: float
     gap_tol: float
+    is_exact: bool
     displacement: float
     angle_deg: float
     result: Result
@@ -100,7 +104,7 @@ class Certified(Answer):
         """Return plain values for JSON."""
         names = (
             "verdict", "T_target_source", "objective", "lower_bound", "max_improvement", "gap_tol",
-            "displacement", "angle_deg", "constant_cost",
+            "is_exact", "displacement", "angle_deg", "constant_cost",
         )  # fmt: skip
         values = {name: getattr(self, name) for name in names}
         return plain({**values, "result": self.result.to_dict()})
@@ -110,13 +114,17 @@ class Certified(Answer):
         k = self.result.n_inliers
         yield "given pose", self.answer
         pairs, rms = text.count(k, "pair"), np.sqrt(self.objective / k)
-        # the objective can be more than residuals
-        is_plain = self.result.attribute_cost is None and self.constant_cost == 0.0
+        # with attributes or weighted points, the objective is not the sum of squared residuals
+        is_plain = (
+            self.result.attribute_cost is None and WEIGHTED not in self.result.certificate_scope
+        )
         about = f"RMS residual {rms:.6g} over " if is_plain else ""
         yield "objective", f"{self.objective:.6g} ({about}{pairs})"
         share = self.max_improvement / self.objective if self.objective > 0.0 else 0.0
         meaning = f"no pose lowers the objective by more than {_percent_above(share)}"
-        if share == 1.0:
+        if self.is_exact:
+            meaning = "the fit is exact up to rounding"
+        elif share == 1.0:
             meaning = "nothing is proven, because every sum of squares is at least 0"
         elif self.verdict != OPTIMAL and _is_trivial(self.lower_bound, self.constant_cost):
             meaning = (
@@ -262,13 +270,14 @@ def _judged(
     exact = exact_value(problem)
     allowed = limits.tolerance(k, rounding_error(source, target, k), exact).allowed(value)
     verdict, constant = OPEN, constant_cost(problem)
-    is_exact = value - constant <= exact + _ROUNDING**2 * constant
+    is_exact = bool(value - constant <= exact + _ROUNDING**2 * constant)
     proves = is_exact or not _is_trivial(lower_bound, constant)
+    displacement = Moments.of(source).displacement(best, T)
     if proves and value - lower_bound <= allowed * (1.0 + _ROUNDING):
         verdict = OPTIMAL
     elif result.objective < value - _NOTABLE * allowed:
         verdict = IMPROVABLE
     return Certified(
-        verdict, T, value, lower_bound, allowed, Moments.of(source).displacement(best, T),
-        angle_between_deg(best, T), result, constant,
+        verdict, T, value, lower_bound, allowed, is_exact, displacement, angle_between_deg(best, T),
+        result, constant,
     )  # fmt: skip

@@ -46,6 +46,8 @@ class Search:
     ----------
     distance : float
         Displacement beyond which poses are distinct, in units of the target.
+    usual_distance : float
+        Its default.
     threshold : float
         The objective up to which poses are listed, in normalised units.
     """
@@ -65,7 +67,8 @@ class Search:
         area, count, abs_gap = setup.frame.area, result.n_inliers, normalised.tolerance.abs
         residual = math.sqrt(result.upper_bound / count + abs_gap * area / count)
         residual = max(residual, noise or 0.0)
-        self.distance = min_displacement or max(RESIDUALS * residual, SHARE_OF_SIZE * size)
+        self.usual_distance = max(RESIDUALS * residual, SHARE_OF_SIZE * size)
+        self.distance = min_displacement or self.usual_distance
         least = noise or min(self.distance, SHARE_OF_SIZE * size) / RESIDUALS
         self.threshold = max(ratio * result.upper_bound, count * least**2) / area + abs_gap
 

@@ -12,6 +12,7 @@ import pytest
 
 import dcreg
 from dcreg.cli import batch
+from dcreg.cli.folder import in_order
 from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Task, failed
 from dcreg.cli.workers import solve_all
@@ -268,6 +269,20 @@ def test_the_files_of_options_are_no_clouds(table, solved):
     assert len(solved) == 2
 
 
+def test_tables_of_results_and_folders_are_no_clouds(table, solved):
+    folder = table.parent
+    table.unlink()
+    assert folder_call(folder).exit_code == 0
+    (folder / "more.txt").mkdir()
+    (folder / "out.csv").rename(folder / "first.csv")
+    assert folder_call(folder).exit_code == 0
+    assert len((folder / "out.csv").read_text().splitlines()) == 3
+
+
+def test_names_with_superscripts_and_equal_numbers_have_an_order():
+    assert sorted(["a3\u00b21.txt", "a3.txt", "a2.txt"], key=in_order)[0] == "a2.txt"
+
+
 def test_the_table_of_a_folder_names_its_pairs(table, solved):
     assert folder_call(table.parent).exit_code == 0
     assert [task.n_inliers for task in solved] == ["0.9", "8"]
@@ -442,6 +457,8 @@ def test_a_bad_table_is_refused(table, solved, text, words):
             "--model: 'rigid2d' is unknown; known: similarity2d, rigid3d, similarity3d",
         ),
         (["--out", "o.txt"], "--out o.txt: the name must end in .csv"),
+        (["--max-rms", "0"], "--max-rms: 0.0 is no positive finite number"),
+        (["--max-rms", "0.1", "--n-inliers", "auto"], "--n-inliers: missing for 0.txt 1.txt, but"),
         (["--graph", "o.txt"], "--graph o.txt: the name must end in .g2o"),
         (["--graph", "absent/o.g2o"], "no folder 'absent'; create it first"),
     ],

@@ -115,6 +115,13 @@ def test_a_mode_without_poses_is_refused_without_settings_that_were_not_given(op
         dcreg.max_inliers(SOURCE, TARGET, distance=0.1, model="rigid3d", options=options)
 
 
+def test_a_checkpoint_of_another_pose_is_refused_without_matrices(tmp_path):
+    options = dcreg.SolveOptions(checkpoint=tmp_path / "state.npz")
+    dcreg.certify(SOURCE, TARGET, POSE, **KEYWORDS, options=options)
+    with pytest.raises(dcreg.InputError, match=r"from another pose; give the same [^\[]*$"):
+        dcreg.certify(SOURCE, TARGET, np.eye(4), **KEYWORDS, options=options)
+
+
 # --- alternatives ----------------------------------------------------------------------------------
 
 
@@ -136,6 +143,36 @@ def test_symmetric_shapes_have_all_their_poses():
     assert np.allclose(np.sort(np.abs(axes), axis=1), [0.0, 0.0, 1.0])
     assert "(a 2-fold turn)" in str(found)
     assert "times" not in dict(found.entries())["lower bound"]  # the best objective is 0
+
+
+def test_a_turn_has_no_name_if_many_angles_are_as_close_to_one():
+    """Unrelated points have poses of similar objectives, and a large default displacement."""
+    source, target = np.random.default_rng(1).random((2, 6, 3))
+    found = dcreg.alternatives(
+        source, target, n_inliers=6, model="rigid3d", ratio=2.5, max_others=3
+    )
+    assert len(found.others) == 3
+    assert all(each.fold is None for each in found.others)
+    assert found.lower_bound == found.result.lower_bound > 0.0
+    angle = dcreg.questions.alternatives.Alternative(np.eye(3), 0.0, 32.7, 1.0, fold=11)
+    assert "(an 11-fold turn)" in angle.motion
+
+
+def test_an_exact_pose_is_not_said_to_be_unproven():
+    target = SOURCE + 1.0
+    pose = np.eye(4)
+    pose[:3, 3] = 1.0
+    judged = dcreg.certify(SOURCE, target, pose, n_inliers=len(SOURCE), model="rigid3d")
+    assert judged.is_exact
+    assert dict(judged.entries())["lower bound"].endswith(": the fit is exact up to rounding")
+
+
+def test_the_objective_of_weighted_points_is_no_residual():
+    weights = dcreg.PointWeights(source=np.linspace(0.2, 1.0, 20), distance=1.0)
+    judged = dcreg.certify(
+        SOURCE, TARGET, POSE, n_inliers=12, model="rigid3d", weights=weights, time_limit=0.5
+    )
+    assert "residual" not in dict(judged.entries())["objective"]
 
 
 def test_a_repeated_part_is_a_shift_without_axis_or_fold():
@@ -179,6 +216,8 @@ def test_equally_good_poses_are_found_and_proven_to_be_all():
     found = dcreg.alternatives(square, target, **given, time_limit=20)
     assert found.is_complete
     assert sorted(each.fold for each in found.others) == [2, 4, 4]
+    isolated = dcreg.alternatives(square, target, **given, isolated=0.5)
+    assert sorted(each.fold for each in isolated.others) == [2, 4, 4]
     wider = dcreg.alternatives(square, target, **given, abs_gap=0.001, min_displacement=0.3)
     assert wider.threshold == pytest.approx(wider.result.upper_bound + 0.001)
 
