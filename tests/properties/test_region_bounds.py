@@ -182,10 +182,10 @@ def test_the_cost_of_a_matching_grows_with_the_distance_from_its_best_pose(seed,
     moved[:3, 3] = 0.1 * rng.standard_normal(3)
     moved = moved @ best
     least, cost = (float(((apply_pose(T, source) - target) ** 2).sum()) for T in (best, moved))
-    searched = SimpleNamespace(source=source, n_inliers=n, candidates=None, weights=None)
+    searched = SimpleNamespace(source=source, n_inliers=n, scale_range=(1.0, 1.0))
     asked = SimpleNamespace(
-        normalised=searched, setup=SimpleNamespace(frame=SimpleNamespace(area=1.0)),
-        result=SimpleNamespace(lower_bound=least), threshold=cost,
+        normalised=searched, setup=SimpleNamespace(frame=SimpleNamespace(area=1.0, unit=1.0)),
+        result=SimpleNamespace(lower_bound=least), distance=Moments.of(source).displacement(moved, best),
     )  # fmt: skip
-    grown = Search._grown(asked, Moments.of(source).displacement(moved, best))
+    grown = Search._grown(asked, 1.0, cost)
     assert grown <= cost * (1.0 + 1e-9) + 1e-12

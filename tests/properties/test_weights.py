@@ -292,7 +292,7 @@ def test_certify_judges_by_weighted_costs(dim):
         assert found.verdict == verdict
         assert found.objective == pytest.approx(reference.k_assignment(costs, 5))
         assert found.lower_bound <= optimum + 1e-9
-    assert "RMS residual" in str(found)
+    assert "RMS residual" not in str(found)  # the weights change the costs
 
 
 def test_certify_does_not_prove_a_pose_by_the_constant_part_of_the_costs():

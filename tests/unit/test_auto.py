@@ -224,7 +224,7 @@ def test_command_and_batch_choose_the_number(tmp_path):
     files = [str(tmp_path / f"{name}.txt") for name in "ab"]
     outcome = run("register", *files, "--model", "similarity2d", "--quiet")
     assert "20, chosen by the library" in outcome.stdout
-    row = solve(Task(0, *files, "auto", Search("similarity2d"), Poses(), drop_invalid=False))
+    row = solve(Task(0, *files, "auto", None, Search("similarity2d"), Poses(), drop_invalid=False))
     assert row["n_inliers"] == "20"
 
 
