@@ -15,7 +15,7 @@ import pytest
 from tests import browsing, clocks
 
 hypothesis.settings.register_profile(
-    "fixed", derandomize=True, deadline=None, max_examples=int(os.environ.get("EXAMPLES", "60"))
+    "fixed", derandomize=True, deadline=None, max_examples=int(os.environ.get("EXAMPLES", "36"))
 )
 hypothesis.settings.load_profile("fixed")
 

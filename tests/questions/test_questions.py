@@ -9,9 +9,8 @@ import dcreg
 from tests.questions.checks import CHECKS
 
 COUNTS = {
-    "max_rms": 16, "certify": 16, "alternatives": 13, "max_inliers": 16, "range": 12, "sweep": 8,
-    "similarity3d": 8, "weights": 12, "candidates": 12, "attributes": 8,
-    "init": 6, "covariance": 9,
+    "max_rms": 10, "certify": 10, "alternatives": 7, "max_inliers": 10, "range": 8, "sweep": 5,
+    "similarity3d": 5, "weights": 8, "candidates": 8, "attributes": 6, "init": 4, "covariance": 6,
 }  # fmt: skip
 OPEN = ("open", "at least", "interval", "time_limit", "converged")
 
