@@ -99,36 +99,67 @@ def shortest_paths(cost: np.ndarray, k: int) -> tuple[float, np.ndarray]:
     return float(cost[np.arange(len(cost)), column_of].sum()), duals[:m]
 
 
-def improve_duals(cost: np.ndarray, duals: np.ndarray, k: int) -> tuple[float, np.ndarray]:
-    """Return better duals, and the lower bound on the k cheapest one-to-one pairs that they prove.
+def improve_duals(
+    costs: np.ndarray, duals: np.ndarray, k: int, enough: np.ndarray | float = np.inf
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return better duals for each of B poses, and the lower bounds that they prove.
 
     In each round of an auction, the price of a column decreases as far as no row minimum does, and then
     increases by the second-highest bid. A row bids the difference to its second-cheapest column.
+
+    Parameters
+    ----------
+    costs : (B, n, m) array
+    duals : (B, m) array
+    k : int
+        Number of one-to-one pairs.
+    enough : float or (B,) array
+        A bound that need not be improved.
+
+    Returns
+    -------
+    (B,) array
+        Lower bounds on the k cheapest pairs.
+    (B, m) array
     """
-    n, m = cost.shape
-    rows, best, best_duals = np.arange(n), -np.inf, duals
+    n, enough = costs.shape[1], np.broadcast_to(enough, len(costs))
+    best, best_duals = np.full(len(costs), -np.inf), duals.astype(np.float64)
+    left = np.arange(len(costs))  # poses whose bounds still increase
     for _ in range(ROUNDS):
-        net = cost + duals
-        column = net.argmin(axis=1)
-        low = net[rows, column]
-        last, beyond = np.partition(low, (k - 1, min(k, n - 1)))[[k - 1, min(k, n - 1)]]
-        lowered = duals - np.minimum(duals, (net - np.minimum(low, last)[:, None]).min(axis=0))
-        value = float(sum_of_smallest(low, k) - lowered.sum())
-        if value <= best:
+        net = costs + duals[:, None]
+        column = net.argmin(axis=2)
+        low = np.take_along_axis(net, column[:, :, None], axis=2)[:, :, 0]
+        ends = np.partition(low, (k - 1, min(k, n - 1)), axis=1)[:, [k - 1, min(k, n - 1)]]
+        last, beyond = ends[:, :1], ends[:, 1:]
+        lowered = duals - np.minimum(duals, (net - np.minimum(low, last)[:, :, None]).min(axis=1))
+        values = sum_of_smallest(low, k) - lowered.sum(axis=1)
+        rises = values > best[left]
+        best[left[rises]], best_duals[left[rises]] = values[rises], lowered[rises]
+        rises &= values < enough[left]
+        left = left[rises]
+        if not left.size:
             break
-        best, best_duals = value, lowered
-        net[rows, column] = np.inf
-        bids = net.min(axis=1) - low
+        np.put_along_axis(net, column[:, :, None], np.inf, axis=2)
+        bids = net.min(axis=2) - low
         if k < n:  # a row that costs more is not matched
             bids = np.where(low <= last, np.minimum(bids, beyond - low), 0.0)
-        order = np.argsort(bids)
-        winner = np.full(m, -1)
-        winner[column[order]] = order
-        losers = order[winner[column[order]] != order]
-        price = np.zeros(m)
-        price[column[losers]] = bids[losers]
-        duals = lowered + price
+        duals = (lowered + _second_highest(bids, column, duals.shape[1]))[rises]
+        if not rises.all():
+            costs = costs[rises]
     return best, best_duals
+
+
+def _second_highest(bids: np.ndarray, column: np.ndarray, m: int) -> np.ndarray:
+    """Return the second-highest of the bids (B, n) for each of m columns; 0 if there is only one."""
+    order = np.argsort(bids, axis=1)
+    column, bids = (np.take_along_axis(each, order, axis=1) for each in (column, bids))
+    pose = np.arange(len(bids))[:, None]
+    # of several values for one place, NumPy keeps the last
+    winner, price = np.full((len(bids), m), -1), np.zeros((len(bids), m))
+    winner[pose, column] = order
+    loses = order != winner[pose, column]
+    price[np.nonzero(loses)[0], column[loses]] = bids[loses]
+    return price
 
 
 def _with_free_columns(cost: np.ndarray, k: int) -> np.ndarray:

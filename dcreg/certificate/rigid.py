@@ -24,7 +24,7 @@ from dcreg.certificate.vectors import cross, matrices, plus_duals, squared_dista
 
 WORTH_ASSIGNMENT = 0.7  # share of the bound needed from which the pairs of caps are assigned
 FEW_PAIRS = 1000  # the search bounds boxes of so few by caps only
-MAX_CELLS = 1 << 18  # costs held at once
+MAX_CELLS = 1 << 20  # costs held at once
 BITS = (np.arange(8)[:, None] >> np.arange(3)) & 1
 # For each facet, which coordinates of the quaternions are at their upper end at the 8 vertices.
 ENDS = np.array([np.insert(BITS, axis, 0, axis=1) for axis in range(4)], dtype=bool)
@@ -177,9 +177,20 @@ class RigidPoses(Objective):
         self, theta: np.ndarray, duals: np.ndarray, *, exactly: bool = False
     ) -> tuple[float, np.ndarray]:
         """Return a lower bound on the objective at a pose, and the duals that prove it."""
-        costs = self.costs_with(theta[None], np.zeros((1, len(duals))))[0]
-        value, duals = self.matched(costs) if exactly else improve_duals(costs, duals, self.k)
-        return value - self.rounding, duals
+        if exactly:
+            costs = self.costs_with(theta[None], np.zeros((1, len(duals))))[0]
+            value, duals = self.matched(costs)
+            return value - self.rounding, duals
+        values, better = self.auctioned(theta[None], duals[None])
+        return float(values[0]), better[0]
+
+    def auctioned(
+        self, thetas: np.ndarray, duals: np.ndarray, goals: np.ndarray | float = np.inf
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return lower bounds at few poses (B, 7), up to about `goals`, and the duals that prove them."""
+        costs = self.costs_with(thetas, np.zeros_like(duals))
+        values, duals = improve_duals(costs, duals, self.k, goals + self.rounding)
+        return values - self.rounding, duals
 
     def parts(self, count: int) -> Iterator[slice]:
         """Yield parts of `count` poses whose costs are held at once."""
@@ -202,9 +213,10 @@ class RigidPoses(Objective):
         )
         bounds = np.maximum(bounds, np.maximum(plain, paired) - loss)
         is_worth = (bounds < needed) & (plain >= WORTH_ASSIGNMENT * (needed + loss))
-        for at in np.flatnonzero(is_worth):
-            found, _ = improve_duals(costs[at], duals[at], self.k)
-            bounds[at] = max(bounds[at], found - loss[at])
+        found, _ = improve_duals(
+            costs[is_worth], duals[is_worth], self.k, (needed + loss)[is_worth]
+        )
+        bounds[is_worth] = np.maximum(bounds[is_worth], found - loss[is_worth])
         return bounds
 
     def matched(self, cost: np.ndarray) -> tuple[float, np.ndarray]:

@@ -195,9 +195,12 @@ class Vertices:
             owners = order[places] // self._numbers.shape[1]
             duals = np.add.reduceat(self._duals[owners], starts, axis=0) / counts[:, None]
             values[part] = self._objective.values_from(poses[part], duals)
-            for at in np.flatnonzero(values[part] < goal[part]):
-                pose = part.start + at
-                values[pose], _ = self._objective.improved(poses[pose], duals[at])
+            low = np.flatnonzero(values[part] < goal[part])
+            if low.size:
+                places = part.start + low
+                values[places], _ = self._objective.auctioned(
+                    poses[places], duals[low], goal[places]
+                )
 
         _in_threads(fill, list(self._objective.parts(len(poses))))
         return values[inverse.ravel()]

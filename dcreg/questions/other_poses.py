@@ -151,22 +151,7 @@ class Search:
         Far means: by more than this share of the distance. The bound holds for costs up to the threshold;
         it is 0 if none is known.
 
-        Let all source points be matched, and let a pose T farther than D from the known ones have an
-        objective below the threshold C, with the matching P. If the best pose of P is farther than D - d
-        from the known ones, a search for stationary poses finds it. Otherwise it is farther than d from
-        T. With S and w as in `dcreg.families.rigid3d.cover`, for all points instead of three,
-        the cost of P grows by n |t'|^2 + w^T (tr(S) I - S) w from its best pose to T, and the squared
-        displacements add up to n |t'|^2 + w^T (tr(M) I - M) w with the second moments M of the points.
-        S - M is the sum of the products e x^T of residuals and centred points at the best pose. For a
-        unit vector a, a^T (tr(S - M) I - (S - M)) a is therefore the sum of the inner products of the
-        parts of e and x orthogonal to a. It is at least -sqrt(C m), where m = a^T (tr(M) I - M) a is the
-        sum of the squares of these parts of x. So the cost grows by at least the share 1 - sqrt(C / q) of
-        n d^2, where q is the minimum eigenvalue of tr(M) I - M.
-
-        In 2D, q = tr(M). The poses are x -> a x + t with complex numbers a. The cost without limits of
-        the scale grows by n |t'|^2 + q |a - b|^2 from its minimum, at b. The best admissible a has the
-        angle of b. If |b| is at least the minimum scale s, the cost grows from there by at least n d^2.
-        Otherwise it grows by at least |b| / s times that, and |b| >= s - sqrt(C / q).
+        The derivation is in docs/bounds.md, section "Poses far from known ones".
         """
         source, low = self.normalised.source, self.normalised.scale_range[0]
         n, d = source.shape

@@ -168,11 +168,29 @@ def test_duals_in_numpy_bound_the_cheapest_pairs(seed, k, free, more, has_ties):
     assert value == np.float64(exact) or abs(value - exact) <= 1e-12 * n
     assert abs(bound_by(cost, duals, k) - exact) <= 1e-12 * n
     given = rng.random(n + more)
-    found, better = improve_duals(cost, given, k)
+    (found,), (better,) = improve_duals(cost[None], given[None], k)
     assert (duals >= -1e-15).all()
     assert (better >= 0.0).all()
     assert bound_by(cost, given, k) - 1e-12 <= found <= exact + 1e-12 * n
     assert found <= bound_by(cost, better, k) + 1e-12
+
+
+@settings(max_examples=100)
+@given(SEEDS, st.integers(1, 6), st.integers(0, 3), st.integers(0, 3))
+def test_an_auction_treats_each_pose_as_if_it_were_alone(seed, k, free, more):
+    rng = np.random.default_rng(seed)
+    costs, duals = rng.random((5, k + free, k + free + more)), rng.random((5, k + free + more))
+    together, better = improve_duals(costs, duals, k)
+    for at in range(5):
+        alone, own = improve_duals(costs[at : at + 1], duals[at : at + 1], k)
+        assert alone[0] == together[at]
+        np.testing.assert_array_equal(own[0], better[at])
+    enough = rng.uniform(0.5, 1.1, 5) * together
+    sooner, fewer = improve_duals(costs, duals, k, enough)
+    assert (sooner >= np.minimum(enough, together)).all()
+    assert (sooner <= together).all()
+    proven = [bound_by(cost, dual, k) for cost, dual in zip(costs, fewer, strict=True)]
+    assert (sooner <= np.array(proven) + 1e-12).all()
 
 
 def bound_by(cost, duals, k):

@@ -105,6 +105,8 @@ class VertexValues:
                 self.known, self._used, boxes.lower, boxes.upper, found.boxes, cutoff, most_each,
                 requests,
             )  # fmt: skip
+            if not count:
+                break  # no undecided box has a vertex without a value
             self._map_slices(count, lambda part: self._compute(rows_of(requests, part), found.kept))
             self._map_slices(len(boxes), judge)
         bounds_by_vertices(self.known, found.boxes, cutoff, found.bounds)
