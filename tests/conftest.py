@@ -15,7 +15,7 @@ import pytest
 from tests import browsing, clocks
 
 hypothesis.settings.register_profile(
-    "fixed", derandomize=True, deadline=None, max_examples=int(os.environ.get("EXAMPLES", "36"))
+    "fixed", derandomize=True, deadline=None, max_examples=int(os.environ.get("EXAMPLES", "30"))
 )
 hypothesis.settings.load_profile("fixed")
 
@@ -35,6 +35,7 @@ SPREAD = ("unit/test_compiling.py", "fuzz/test_fuzz.py")
 WITH = dict.fromkeys(
     (
         "unit/test_report.py",
+        "unit/test_findings.py",
         "unit/test_runs.py",
         "workflow/test_runs_browser.py",
         "workflow/test_library_browser.py",

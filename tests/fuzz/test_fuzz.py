@@ -12,7 +12,7 @@ from tests.fuzz.problems import FAMILIES, KINDS, problem
 from tests.oracles.kernels import k_assignment_brute_force
 from tests.oracles.matchings import cheapest_fit
 
-SLICES, PER_SLICE = 8, 25
+SLICES, PER_SLICE = 8, 15
 
 
 @pytest.mark.parametrize("start", range(0, SLICES * PER_SLICE, PER_SLICE))

@@ -9,8 +9,8 @@ import dcreg
 from tests.questions.checks import CHECKS
 
 COUNTS = {
-    "max_rms": 10, "certify": 10, "alternatives": 7, "max_inliers": 10, "range": 8, "sweep": 5,
-    "similarity3d": 5, "weights": 8, "candidates": 8, "attributes": 6, "init": 4, "covariance": 6,
+    "max_rms": 8, "certify": 6, "alternatives": 5, "max_inliers": 6, "range": 5, "sweep": 4,
+    "similarity3d": 4, "weights": 5, "candidates": 5, "attributes": 4, "init": 4, "covariance": 4,
 }  # fmt: skip
 OPEN = ("open", "at least", "interval", "time_limit", "converged")
 

@@ -66,7 +66,7 @@ def test_no_quick_part_refutes_a_claim_by_few_instances_or_by_a_limit(claim, tmp
     found = judge_claim(ledger(), claim, Evidence.of_folders([few]))
     decided = [row for row in found.rows if row.verdict != OPEN]
     assert all(each.part.estimate.n >= MIN_INSTANCES for row in decided for each in row.decided)
-    many = claim_tables.write(ledger(), claim, tmp_path / "many", true=False, trials=30, quick=True)
+    many = claim_tables.write(ledger(), claim, tmp_path / "many", true=False, trials=12, quick=True)
     path = many / "tables" / "runs.parquet"
     runs = pd.read_parquet(path)
     pd.DataFrame(runs.assign(outcome="limited", status="time_limit")).to_parquet(path)
