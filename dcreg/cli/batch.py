@@ -85,7 +85,7 @@ class Batch:
         with _signals() as is_stopped:
             if not table.write():
                 return output.EXIT_OUTPUT
-            for task, row in solve_all(todo, min(jobs, len(todo)), is_stopped):
+            for task, row in solve_all(todo, min(jobs, len(todo)), is_stopped, quiet=quiet):
                 table.add(task.place, {**row, "inputs": digests[task.place]})
                 if not table.write():
                     return output.EXIT_OUTPUT

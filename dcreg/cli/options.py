@@ -154,7 +154,7 @@ class CloudFiles:
                 fitting = next(name for name, dim in MODEL_DIM.items() if dim == found)
                 raise dcreg.InputError(
                     f"{path}: points have {found} coordinates, but model {model} needs {needed}; "
-                    f"give another file, or use `dcreg register --model {fitting}`"
+                    f"give another file, or --model {fitting}"
                 )
             clouds.append(points)
         source, target = clouds

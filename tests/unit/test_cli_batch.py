@@ -1,11 +1,13 @@
 """``dcreg batch``: a table of pairs, its results, and what is kept when the command runs again."""
 
 import csv
+import logging
 import os
 import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -15,7 +17,8 @@ from dcreg.cli import batch
 from dcreg.cli.folder import in_order
 from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Task, failed
-from dcreg.cli.workers import solve_all
+from dcreg.cli.workers import print_when_compiling, solve_all
+from dcreg.driver.modes import COMPILING
 from tests.results import run
 
 
@@ -479,3 +482,23 @@ def test_a_file_of_something_else_is_not_overwritten(table, solved):
     assert out.read_text() == "my,notes\n"
     outcome = run("batch", table, "--out", table, "--model", "rigid3d", "--n-inliers", "3")
     assert "is also an input" in outcome.stderr
+
+
+def test_a_worker_says_that_it_compiles_and_nothing_else(capfd):
+    with isolated_logger():
+        print_when_compiling()
+        logging.getLogger("dcreg").info(COMPILING)
+        logging.getLogger("dcreg").info("anything else")
+    assert capfd.readouterr().err == COMPILING + "\n"
+
+
+@contextmanager
+def isolated_logger():
+    """The library's logger as it was, afterwards."""
+    library = logging.getLogger("dcreg")
+    level, handlers = library.level, list(library.handlers)
+    try:
+        yield
+    finally:
+        library.setLevel(level)
+        library.handlers[:] = handlers
