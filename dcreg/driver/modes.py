@@ -26,11 +26,9 @@ from dcreg.result import Stage
 from dcreg.search import Bound, Box, Boxes, Budget, Interrupted, Outcome, Start, minimise
 from dcreg.search.space_search import Cover
 from dcreg.status import Status
+from dcreg.text import COMPILING
 
 _LOGGER = logging.getLogger("dcreg")
-COMPILING = (
-    "compiling the kernels that this search needs (only once; they are cached for later runs)"
-)
 # Cutoff of the tiny problem of `compile_cover`. No cover gives up, so that all its kernels are compiled.
 _CUTOFF = 0.3
 # A dense cost matrix of more pairs than this does not fit into the memory of a common machine.

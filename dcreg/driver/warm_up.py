@@ -12,7 +12,7 @@ import numpy as np
 from dcreg.assignment.descent import polish
 from dcreg.assignment.objective import objective
 from dcreg.assignment.sparse import sparse_matching
-from dcreg.driver.modes import COMPILING, Attempt, compile_cover, run_mode
+from dcreg.driver.modes import Attempt, compile_cover, run_mode
 from dcreg.driver.normalised import NormalisedProblem
 from dcreg.families.mode import Mode, all_modes
 from dcreg.families.rigid3d.bound import RigidBound
@@ -24,6 +24,7 @@ from dcreg.names import BOUND_NAMES, MODEL_DIM
 from dcreg.problem import Frame, PoseRange, Problem
 from dcreg.problem.problem import DEFAULT_SCALE_RANGE
 from dcreg.search import Box, Boxes, Budget, Tolerance
+from dcreg.text import COMPILING
 
 _LOGGER = logging.getLogger("dcreg")
 

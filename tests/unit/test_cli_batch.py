@@ -18,7 +18,7 @@ from dcreg.cli.folder import in_order
 from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Task, failed
 from dcreg.cli.workers import print_when_compiling, solve_all
-from dcreg.driver.modes import COMPILING
+from dcreg.text import COMPILING
 from tests.results import run
 
 
