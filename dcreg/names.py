@@ -26,6 +26,9 @@ NO_PROOF_EXPECTED = "proof not expected soon"
 MAX_RMS_MET = "a pose within max_rms was found"
 MAX_RMS_SLACK = 1e-9  # relative; an RMS residual above `max_rms` by less meets it, up to rounding
 WITHIN_TOLERANCE = "fits within the tolerance"
+COMPILING = (
+    "compiling the kernels that this search needs (only once; they are cached for later runs)"
+)
 
 AUTO = "auto"  # the library chooses: the mode, or the number of pairs
 

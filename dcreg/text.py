@@ -1,13 +1,10 @@
-"""Plain text for printed results: numbers, columns, and a message of several modules."""
+"""Plain text in columns, for printed results."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 
-COMPILING = (
-    "compiling the kernels that this search needs (only once; they are cached for later runs)"
-)
 _ROUNDING = 1e-6  # in thousandths: a computed 99 % is not 98.9 %
 
 

@@ -13,7 +13,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 
 from dcreg.cli.pair import Row, Task, failed, solve
-from dcreg.text import COMPILING
+from dcreg.names import COMPILING
 
 _GLANCE_S = 0.2  # between two checks for a signal
 # Not forked: a fork of a process with threads can hang.

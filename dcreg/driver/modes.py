@@ -20,13 +20,12 @@ from dcreg.families.mode import Mode, load_mode
 from dcreg.families.registry import bound_parts, make_bound
 from dcreg.families.rotation3d.space import Rotation3D
 from dcreg.jit import when_compiling
-from dcreg.names import AUTO, MODEL_DIM, mode_files, mode_names
+from dcreg.names import AUTO, COMPILING, MODEL_DIM, mode_files, mode_names
 from dcreg.problem import InputError, Problem, suggestion
 from dcreg.result import Stage
 from dcreg.search import Bound, Box, Boxes, Budget, Interrupted, Outcome, Start, minimise
 from dcreg.search.space_search import Cover
 from dcreg.status import Status
-from dcreg.text import COMPILING
 
 _LOGGER = logging.getLogger("dcreg")
 # Cutoff of the tiny problem of `compile_cover`. No cover gives up, so that all its kernels are compiled.

@@ -20,11 +20,10 @@ from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.families.rotation3d.sampled import search_sampled_rotation
 from dcreg.jit import forget_old_kernels, when_compiling
-from dcreg.names import BOUND_NAMES, MODEL_DIM
+from dcreg.names import BOUND_NAMES, COMPILING, MODEL_DIM
 from dcreg.problem import Frame, PoseRange, Problem
 from dcreg.problem.problem import DEFAULT_SCALE_RANGE
 from dcreg.search import Box, Boxes, Budget, Tolerance
-from dcreg.text import COMPILING
 
 _LOGGER = logging.getLogger("dcreg")
 

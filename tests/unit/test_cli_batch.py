@@ -18,7 +18,7 @@ from dcreg.cli.folder import in_order
 from dcreg.cli.options import Poses, Search
 from dcreg.cli.pair import Task, failed
 from dcreg.cli.workers import print_when_compiling, solve_all
-from dcreg.text import COMPILING
+from dcreg.names import COMPILING
 from tests.results import run
 
 
@@ -61,7 +61,7 @@ def solved(monkeypatch):
     """The pairs that are solved, in this process; results are at once there."""
     found = []
 
-    def solve_at_once(tasks, jobs, is_stopped):
+    def solve_at_once(tasks, jobs, is_stopped, quiet):
         for task in tasks:
             found.append(task)
             yield task, batch_row(task)
