@@ -138,7 +138,7 @@ def problem_files() -> Iterator[None]:
         yield
 
 
-def _solve_here(tasks: Any, *_: Any) -> Iterator[tuple[Any, Any]]:
+def _solve_here(tasks: Any, *_: Any, quiet: bool) -> Iterator[tuple[Any, Any]]:
     for task in tasks:
         yield task, solve(task)
 
