@@ -211,11 +211,11 @@ class Proof:
         CertificateError
             If a bound is false.
         """
-        leaves = np.arange(len(c.leaf_bounds))
-        lower, upper = c.leaf_lower, c.leaf_upper
+        leaves = self._order(c)
+        lower, upper = c.leaf_lower[leaves], c.leaf_upper[leaves]
         needed = lower_bound - self.slack
         # leaves whose stated bound exceeds the one to be proven
-        doubtful = c.leaf_bounds > lower_bound + self.slack
+        doubtful = c.leaf_bounds[leaves] > lower_bound + self.slack
         n_boxes = depth = 0
         while len(leaves):
             if n_boxes + len(leaves) > self.max_boxes:
@@ -251,6 +251,10 @@ class Proof:
                     for each, part in zip((leaves, lower, upper), parts, strict=True)
                 )
             doubtful = np.zeros(len(leaves), dtype=bool)  # each leaf is checked once
+
+    def _order(self, c: Certificate) -> np.ndarray:
+        """Return the leaves in the order in which they are proven."""
+        return np.arange(len(c.leaf_bounds))
 
     @staticmethod
     def _check_inadmissible(leaves: np.ndarray, c: Certificate) -> None:

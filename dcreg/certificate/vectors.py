@@ -14,15 +14,17 @@ def squared_distances(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.maximum(costs, 0.0, out=costs)
 
 
-def plus_duals(x: np.ndarray, y: np.ndarray, duals: np.ndarray) -> np.ndarray:
+def plus_duals(
+    x: np.ndarray, y: np.ndarray, duals: np.ndarray, precision: type[np.floating] = np.float64
+) -> np.ndarray:
     """Return (B, n, m) squared distances of (B, n, 3) and (m, 3) points plus (B, m) duals.
 
     One product of matrices, with (-2 x, |x|^2, 1) and (y, 1, |y|^2 + dual).
     """
-    left = np.ones((*x.shape[:2], 5))
+    left = np.ones((*x.shape[:2], 5), precision)
     left[..., :3] = -2.0 * x
     left[..., 3] = (x**2).sum(axis=2)
-    right = np.ones((len(x), 5, len(y)))
+    right = np.ones((len(x), 5, len(y)), precision)
     right[:, :3] = y.T
     right[:, 4] = (y**2).sum(axis=1) + duals
     return left @ right

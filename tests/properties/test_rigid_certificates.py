@@ -196,3 +196,20 @@ def test_an_auction_treats_each_pose_as_if_it_were_alone(seed, k, free, more):
 def bound_by(cost, duals, k):
     """The bound of weak duality."""
     return np.sort((cost + duals).min(axis=1))[:k].sum() - duals.sum()
+
+
+@settings(max_examples=100)
+@given(SEEDS, st.sampled_from([0.1, 1.0, 30.0]), st.booleans())
+def test_values_in_single_precision_are_lower_and_near(seed, size, is_near):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 30))
+    source = size * rng.standard_normal((n, 3))
+    target = source + 1e-3 * is_near * size * rng.standard_normal((n, 3))
+    k = int(rng.integers(1, n + 1))
+    objective = RigidPoses(source, target, k, (1.0, 1.0), None)
+    thetas = np.hstack([rng.standard_normal((5, 4)), size * rng.standard_normal((5, 3))])
+    thetas[0] = [1.0, 0, 0, 0, 0, 0, 0]
+    duals = size**2 * rng.random((5, n)).astype(np.float32)
+    rough, exact = objective.rough_values(thetas, duals), objective.values_from(thetas, duals)
+    assert (rough <= exact).all()
+    assert (rough >= exact - 1e-6 * k * (8.0 * size + np.abs(thetas).max()) ** 2).all()
