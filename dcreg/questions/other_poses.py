@@ -111,8 +111,9 @@ class Search:
         most = math.inf
         while True:
             aim = min(RAISE * lower_bound, most)
-            grown = self._grown(1.0 - INNER[0], aim)
-            aim = min(aim, grown / (1.0 + _ROUNDING) ** 2 or math.inf)
+            if self._is_stationary_sooner:
+                grown = self._grown(1.0 - INNER[0], aim)
+                aim = min(aim, grown / (1.0 + _ROUNDING) ** 2 or math.inf)
             if aim < MIN_RAISE * lower_bound or budget.is_over:
                 return lower_bound
             found = self._next(known, minima, budget, aim)
@@ -123,6 +124,15 @@ class Search:
             if lower_bound <= aim:
                 return lower_bound
 
+    @property
+    def _is_stationary_sooner(self) -> bool:
+        """Whether a search for stationary poses is faster than one for all poses.
+
+        In 2D all bounds hold for every pose. Stationary poses are few only if the translation is known.
+        """
+        n, m = len(self.normalised.source), len(self.normalised.target)
+        return self.normalised.dim == 3 or n == m
+
     def _next(
         self, known: list[Known], minima: list[Known], budget: Budget, threshold: float
     ) -> Found:
@@ -132,9 +142,7 @@ class Search:
         far = Far.of(poses, distance, source)
         if any(value <= threshold and far.contains(T) for T, value in minima):
             return self._search(far, minima, budget, threshold)
-        # In 2D all bounds hold for every pose. Stationary poses are few only if the translation is known.
-        only_stationary = self.normalised.dim == 3 or len(source) == len(self.normalised.target)
-        for share in INNER if only_stationary else ():
+        for share in INNER if self._is_stationary_sooner else ():
             grown = self._grown(1.0 - share, threshold)
             if grown <= threshold * (1.0 + _ROUNDING):
                 continue
