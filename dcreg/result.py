@@ -265,6 +265,12 @@ class Result(Document):
         """Yield names and values of the `summary`; every warning is an entry of that name."""
         scope = self.certificate_scope
         yield "status", self._verdict(scope)
+        if self._misses_max_rms and self.status is not Status.REFUTED:
+            yield (
+                "answer",
+                f"open: no pose was found that matches {text.count(self.n_inliers, 'pair')} with an RMS "
+                f"residual of at most {self.max_rms:g}, and it is not proven that there is none",
+            )
         yield "T_target_source", text.pose(self.T_target_source)
         yield "scale", f"{self.scale:.6g}"
         yield "rotation", f"{self.rotation_deg:.4f} deg"

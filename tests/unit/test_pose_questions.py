@@ -103,6 +103,13 @@ def test_what_is_no_pose_is_refused(pose, words):
         dcreg.certify(SOURCE, TARGET, pose, **KEYWORDS)
 
 
+def test_a_rigid_pose_with_a_scale_near_1_is_judged_without_it(best):
+    rough = best.T_target_source.copy()
+    rough[:3, :3] *= 0.9994  # as in official poses of 3DMatch
+    found = dcreg.certify(SOURCE, TARGET, rough, **KEYWORDS)
+    assert (found.verdict, found.objective) == ("optimal", pytest.approx(best.objective))
+
+
 @pytest.mark.parametrize(
     ("options", "remedy"),
     [({"mode": "paper"}, "use mode 'full'"), ({"bound": "dc"}, "use mode 'full' and omit bound")],
@@ -639,6 +646,12 @@ def test_what_holds_no_pose_is_refused_with_its_name(tmp_path, content, words):
     assert "pose.txt" in str(error.value)
 
 
+def test_a_scale_near_1_is_read_unchanged(tmp_path):
+    pose = np.diag([1.00005, 1.00005, 1.00005, 1.0])
+    np.savetxt(tmp_path / "pose.txt", pose)
+    assert np.array_equal(dcreg.read_pose(tmp_path / "pose.txt"), pose)
+
+
 def test_a_missing_pose_is_refused(tmp_path):
     with pytest.raises(dcreg.InputError, match="no such file"):
         dcreg.read_pose(tmp_path / "none.txt")
@@ -744,6 +757,13 @@ def test_messages_about_ranges_name_the_options_that_were_given(files, monkeypat
     assert re.search(words, ran.output.strip()), ran.output
 
 
+def test_the_centre_of_a_range_is_refused_with_its_option(files):
+    clouds = [str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d"]
+    np.savetxt(files / "plane.txt", np.eye(3))
+    given = "--n-inliers", "20", "--max-angle", "9", "--init", str(files / "plane.txt")
+    assert "error: --init: shape (3, 3)" in run("register", *clouds, *given).output
+
+
 @pytest.mark.parametrize("option", ["--axis=0,0,1", "--max-angle=9", "--no-rotation"])
 def test_a_search_of_all_poses_names_commands_that_have_a_range(files, option):
     clouds = [str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d"]
@@ -792,6 +812,7 @@ def test_a_residual_that_stays_open_has_the_exit_code_of_a_limit(files, monkeypa
         "--n-inliers", "20", "--max-rms", "0.001", "--quiet", *tolerance,
     )  # fmt: skip
     assert "proof not expected soon" in ran.output
+    assert "answer           open: no pose was found that matches 20 pairs" in ran.output
     assert ran.exit_code == 3
 
 
