@@ -1,5 +1,6 @@
 """Answers to questions about a pose: their words, files, errors, and the reader of poses."""
 
+import importlib
 import json
 import re
 import time
@@ -55,6 +56,16 @@ def test_a_rough_pose_is_improvable_by_the_distance_to_the_best(best):
     assert found.verdict == "improvable"
     assert found.displacement == pytest.approx(0.1 * np.sqrt(3), rel=0.2)
     assert found.result.objective == pytest.approx(best.objective)
+
+
+def test_a_pose_that_is_worse_than_the_given_one_is_not_the_best_known_one(best):
+    """A limit can end the refinement of the pose of a sample before it reaches the given one."""
+    rough = POSE.copy()
+    rough[:3, 3] += 0.1
+    found = dcreg.certify(SOURCE, TARGET, rough, **KEYWORDS)
+    assert "best known pose" in dict(found.entries())
+    worse = replace(found, verdict="open", objective=0.5 * best.objective)
+    assert "best known pose" not in {*dict(worse.entries()), *worse.poses}
 
 
 def test_a_pose_is_open_if_there_is_no_time(best):
@@ -814,6 +825,21 @@ def test_a_residual_that_stays_open_has_the_exit_code_of_a_limit(files, monkeypa
     assert "proof not expected soon" in ran.output
     assert "answer           open: no pose was found that matches 20 pairs" in ran.output
     assert ran.exit_code == 3
+
+
+@pytest.mark.parametrize(("max_rms", "status"), [(1.0, "converged"), (0.01, "time_limit")])
+def test_a_residual_that_is_met_is_answered_at_a_limit(monkeypatch, max_rms, status):
+    """The search for initial poses may take all the time and find a pose that is good enough."""
+    module = importlib.import_module("dcreg.driver.solve")
+    solved = module.run_mode
+
+    def at_limit(*arguments, **keywords):
+        found = solved(*arguments, **keywords)
+        return replace(found, status=Status.TIME_LIMIT)
+
+    monkeypatch.setattr(module, "run_mode", at_limit)
+    found = dcreg.register(SOURCE, TARGET, **KEYWORDS, max_rms=max_rms)
+    assert found.status.value == status
 
 
 def test_what_may_be_gained_is_rounded_up():
