@@ -130,6 +130,8 @@ class Certified(Answer):
         meaning = f"no pose lowers the objective by more than {_percent_above(share)}"
         if self.is_exact:
             meaning = "the fit is exact up to rounding"
+        elif share == 1.0 and self.result.is_exact and self.result.objective < self.objective:
+            meaning = "the best known pose is an exact fit"
         elif share == 1.0:
             meaning = "nothing is proven, because every sum of squares is at least 0"
         elif self.verdict != OPTIMAL and _is_trivial(self.lower_bound, self.constant_cost):

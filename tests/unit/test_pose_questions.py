@@ -68,6 +68,12 @@ def test_a_pose_that_is_worse_than_the_given_one_is_not_the_best_known_one(best)
     assert "best known pose" not in {*dict(worse.entries()), *worse.poses}
 
 
+def test_an_exact_fit_attains_a_lower_bound_of_0():
+    found = dcreg.certify(SOURCE, SOURCE @ TURN.T, np.eye(4), **KEYWORDS)
+    assert found.verdict == "improvable"
+    assert dict(found.entries())["lower bound"].endswith(": the best known pose is an exact fit")
+
+
 def test_a_pose_is_open_if_there_is_no_time(best):
     found = dcreg.certify(SOURCE, TARGET, best.T_target_source, **KEYWORDS, node_limit=1)
     assert found.verdict == "open"
