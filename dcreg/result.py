@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from dcreg.certificate.format import write as write_certificate
 from dcreg.files import Document, plain
 from dcreg.names import MAX_RMS_MET, MAX_RMS_SLACK, NO_PROOF_EXPECTED, WITHIN_TOLERANCE
 from dcreg.problem import InputError, OpenDirection, rotation_angle_deg, scale_of
+from dcreg.problem.weights import WEIGHTED
 from dcreg.result_parts import (
     ChosenNumber,
     MemoryEstimate,
@@ -265,10 +266,18 @@ class Result(Document):
         """Yield names and values of the `summary`; every warning is an entry of that name."""
         scope = self.certificate_scope
         yield "status", self._verdict(scope)
+        if self._misses_max_rms and self.status is not Status.REFUTED:
+            yield (
+                "answer",
+                f"open: no pose was found that matches {text.count(self.n_inliers, 'pair')} with an RMS "
+                f"residual of at most {self.max_rms:g}, and it is not proven that there is none",
+            )
         yield "T_target_source", text.pose(self.T_target_source)
         yield "scale", f"{self.scale:.6g}"
         yield "rotation", f"{self.rotation_deg:.4f} deg"
-        yield "RMSE of pairs", f"{self.rmse_matched:.6g} over {text.count(self.n_inliers, 'pair')}"
+        # the square root of the mean cost, if points have weights
+        rms = "RMS cost" if WEIGHTED in scope else "RMSE of pairs"
+        yield rms, f"{self.rmse_matched:.6g} over {text.count(self.n_inliers, 'pair')}"
         if self.chosen_number is not None:
             yield (
                 "number of pairs",
@@ -361,6 +370,13 @@ class Result(Document):
         if self.is_exact:
             return "the fit is exact up to rounding"
         return f"the lower bound is {text.percent(self.bound_ratio)} of the upper bound"
+
+
+def with_answer(result: Result) -> Result:
+    """Return a result whose pose meets `max_rms` as converged, even if a limit ended the search."""
+    is_met = result.max_rms is not None and not result._misses_max_rms
+    is_limited = result.status.is_limit
+    return replace(result, status=Status.CONVERGED) if is_met and is_limited else result
 
 
 def _above(value: float, limit: float) -> str:

@@ -319,8 +319,8 @@ class Poses:
 
     @property
     def names(self) -> dict[str, str]:
-        """The options that give the argument `pose_range` of the library, for messages."""
-        return {"pose_range": self.limits} if self.limits else {}
+        """The options that give the argument `pose_range` and its field `around`, for messages."""
+        return {"pose_range": self.limits, "around": "--init"} if self.limits else {}
 
     def settings(self) -> tuple[dcreg.PoseRange | None, np.ndarray | None]:
         """Return the range of poses, if it is restricted, and the initial guess."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import dcreg
@@ -81,12 +82,24 @@ class CostFiles:
             raise dcreg.InputError(
                 f"{missing[0]}: missing; {given[0]} needs the attributes of both clouds and their scale"
             )
+        for name, path in paths.items():
+            _check_no_coordinates(f"--{name}-attributes", path or "", clouds.names[name])
         sides = {
             name: _valid(dcreg.read_attributes(path), name, path, clouds)
             for name, path in paths.items()
             if path is not None
         }
         return dcreg.Attributes(**sides, scale=self.attribute_scale)
+
+
+def _check_no_coordinates(option: str, path: str, cloud: str) -> None:
+    """Refuse the file of a cloud as its attributes if all its columns would be read."""
+    is_table = Path(path).suffix.lower() in (".txt", ".csv", ".npy")
+    if is_table and Path(path).resolve() == Path(cloud).resolve():
+        raise dcreg.InputError(
+            f"{option}: {path} is the cloud itself, so its coordinates would count as attributes; give "
+            "a file with only the attributes"
+        )
 
 
 def _valid(values: np.ndarray, name: str, path: str, clouds: CloudFiles) -> np.ndarray:

@@ -35,7 +35,7 @@ from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, OF_SAMPLE, START_BOXES
 from dcreg.problem import Frame, InputError, Moments, Problem, checked_pose
 from dcreg.problem.geometry import exact_objective, rounding_error
-from dcreg.result import Result, Stage, Trace
+from dcreg.result import Result, Stage, Trace, with_answer
 from dcreg.result_parts import MemoryEstimate
 from dcreg.runner_up import DISTINCT, find_runner_up
 from dcreg.search import Budget, Event
@@ -244,7 +244,7 @@ class Finish:
             initial = self._initial(result.T_target_source)
             result = refined(result, problem, searched, self.budget, self.known, initial)
             self._report_refinement(result.objective)
-        result = self._exact(result)
+        result = with_answer(self._exact(result))
         is_sample = result.downsampled is not None
         scope = _scope(problem, solution.scope, is_sample=is_sample)
         result = replace(result, certificate_scope=scope)

@@ -10,7 +10,6 @@ import numpy as np
 
 from dcreg.io.text import naming
 from dcreg.problem import InputError, checked_pose
-from dcreg.problem.pose_range import is_rigid
 
 _FORMATS = (
     "give a matrix (4 x 4 or 3 x 3, as text or .npy), JSON of dcreg, one line of KITTI (12 numbers), or "
@@ -54,9 +53,7 @@ def read_pose(path: str | Path) -> np.ndarray:
             raise InputError(
                 f"{values.size} numbers are not a pose, which has 8, 9, 12 or 16; {_FORMATS}"
             )
-        d = len(T) - 1
-        has_scale = d == 2 or not is_rigid(T)  # rounding is no scale
-        return checked_pose("pose", T, d, has_scale=has_scale)
+        return checked_pose("pose", T, len(T) - 1, has_scale=True)
 
 
 def _values(path: Path) -> np.ndarray:

@@ -92,8 +92,14 @@ class Certified(Answer):
 
     @property
     def poses(self) -> dict[str, np.ndarray]:
-        """The given pose and the best known one."""
-        return {"given pose": self.T_target_source, "best known pose": self.result.T_target_source}
+        """The given pose and that of the search."""
+        return {"given pose": self.T_target_source, self._found: self.result.T_target_source}
+
+    @property
+    def _found(self) -> str:
+        """Name of the pose of the search, which is worse if a limit ends its refinement."""
+        is_worse = self.result.objective > self.objective * (1.0 + _ROUNDING)
+        return "pose found" if is_worse else "best known pose"
 
     @property
     def max_improvement(self) -> float:
@@ -124,6 +130,8 @@ class Certified(Answer):
         meaning = f"no pose lowers the objective by more than {_percent_above(share)}"
         if self.is_exact:
             meaning = "the fit is exact up to rounding"
+        elif share == 1.0 and self.result.is_exact and self.result.objective < self.objective:
+            meaning = "the best known pose is an exact fit"
         elif share == 1.0:
             meaning = "nothing is proven, because every sum of squares is at least 0"
         elif self.verdict != OPTIMAL and _is_trivial(self.lower_bound, self.constant_cost):
@@ -134,7 +142,7 @@ class Certified(Answer):
         yield "lower bound", f"{self.lower_bound:.6g}: {meaning}"
         if self.verdict != OPTIMAL:
             yield (
-                "best known pose",
+                self._found,
                 f"objective {self.result.objective:.6g}; differs from the given pose by "
                 f"{self.displacement:.4g} (RMS displacement) and {self.angle_deg:.4g} deg",
             )

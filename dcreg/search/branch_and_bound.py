@@ -299,9 +299,12 @@ class Search:
             self.prospect = Prospect(done)
             return 0.0
         spent_s = began - self.patience_began
+        box_s = (
+            (spent_s - self.not_bounding_s) / done if done else 0.0
+        )  # unknown after a checkpoint
         found = Prospect.of(
             self.bound.fresh(), self.branching, self.cutoff, boxes, self.within_region, self.budget,
-            spent_s, (spent_s - self.not_bounding_s) / max(done, 1),
+            spent_s, box_s,
         )  # fmt: skip
         self.prospect = replace(found, n_nodes=done + found.n_nodes)
         self.not_bounding_s += self.budget.elapsed() - began

@@ -153,3 +153,11 @@ def test_incomplete_attributes_are_refused(call, tmp_path):
     outcome = run(*call, *sides(colours, colours), "--attribute-scale", "-1")
     assert outcome.exit_code == 2
     assert "attributes: scale -1.0 is not a positive number" in outcome.output
+
+
+def test_the_coordinates_of_a_text_cloud_are_no_attributes(call, tmp_path):
+    given = sides(tmp_path / "colours.txt", tmp_path / "b.txt")
+    outcome = run(*call, *given, "--attribute-scale", "1")
+    assert outcome.exit_code == 2
+    assert "--target-attributes: " in outcome.output
+    assert "is the cloud itself" in outcome.output

@@ -1,5 +1,6 @@
 """Answers to questions about a pose: their words, files, errors, and the reader of poses."""
 
+import importlib
 import json
 import re
 import time
@@ -57,6 +58,22 @@ def test_a_rough_pose_is_improvable_by_the_distance_to_the_best(best):
     assert found.result.objective == pytest.approx(best.objective)
 
 
+def test_a_pose_that_is_worse_than_the_given_one_is_not_the_best_known_one(best):
+    """A limit can end the refinement of the pose of a sample before it reaches the given one."""
+    rough = POSE.copy()
+    rough[:3, 3] += 0.1
+    found = dcreg.certify(SOURCE, TARGET, rough, **KEYWORDS)
+    assert "best known pose" in dict(found.entries())
+    worse = replace(found, verdict="open", objective=0.5 * best.objective)
+    assert "best known pose" not in {*dict(worse.entries()), *worse.poses}
+
+
+def test_an_exact_fit_attains_a_lower_bound_of_0():
+    found = dcreg.certify(SOURCE, SOURCE @ TURN.T, np.eye(4), **KEYWORDS)
+    assert found.verdict == "improvable"
+    assert dict(found.entries())["lower bound"].endswith(": the best known pose is an exact fit")
+
+
 def test_a_pose_is_open_if_there_is_no_time(best):
     found = dcreg.certify(SOURCE, TARGET, best.T_target_source, **KEYWORDS, node_limit=1)
     assert found.verdict == "open"
@@ -101,6 +118,13 @@ def test_the_time_of_certify_is_that_of_a_search(best):
 def test_what_is_no_pose_is_refused(pose, words):
     with pytest.raises(dcreg.InputError, match=words):
         dcreg.certify(SOURCE, TARGET, pose, **KEYWORDS)
+
+
+def test_a_rigid_pose_with_a_scale_near_1_is_judged_without_it(best):
+    rough = best.T_target_source.copy()
+    rough[:3, :3] *= 0.9994  # as in official poses of 3DMatch
+    found = dcreg.certify(SOURCE, TARGET, rough, **KEYWORDS)
+    assert (found.verdict, found.objective) == ("optimal", pytest.approx(best.objective))
 
 
 @pytest.mark.parametrize(
@@ -663,6 +687,12 @@ def test_what_holds_no_pose_is_refused_with_its_name(tmp_path, content, words):
     assert "pose.txt" in str(error.value)
 
 
+def test_a_scale_near_1_is_read_unchanged(tmp_path):
+    pose = np.diag([1.00005, 1.00005, 1.00005, 1.0])
+    np.savetxt(tmp_path / "pose.txt", pose)
+    assert np.array_equal(dcreg.read_pose(tmp_path / "pose.txt"), pose)
+
+
 def test_a_missing_pose_is_refused(tmp_path):
     with pytest.raises(dcreg.InputError, match="no such file"):
         dcreg.read_pose(tmp_path / "none.txt")
@@ -768,6 +798,13 @@ def test_messages_about_ranges_name_the_options_that_were_given(files, monkeypat
     assert re.search(words, ran.output.strip()), ran.output
 
 
+def test_the_centre_of_a_range_is_refused_with_its_option(files):
+    clouds = [str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d"]
+    np.savetxt(files / "plane.txt", np.eye(3))
+    given = "--n-inliers", "20", "--max-angle", "9", "--init", str(files / "plane.txt")
+    assert "error: --init: shape (3, 3)" in run("register", *clouds, *given).output
+
+
 @pytest.mark.parametrize("option", ["--axis=0,0,1", "--max-angle=9", "--no-rotation"])
 def test_a_search_of_all_poses_names_commands_that_have_a_range(files, option):
     clouds = [str(files / "a.xyz"), str(files / "b.xyz"), "--model", "rigid3d"]
@@ -816,7 +853,23 @@ def test_a_residual_that_stays_open_has_the_exit_code_of_a_limit(files, monkeypa
         "--n-inliers", "20", "--max-rms", "0.001", "--quiet", *tolerance,
     )  # fmt: skip
     assert "proof not expected soon" in ran.output
+    assert "answer           open: no pose was found that matches 20 pairs" in ran.output
     assert ran.exit_code == 3
+
+
+@pytest.mark.parametrize(("max_rms", "status"), [(1.0, "converged"), (0.01, "time_limit")])
+def test_a_residual_that_is_met_is_answered_at_a_limit(monkeypatch, max_rms, status):
+    """The search for initial poses may take all the time and find a pose that is good enough."""
+    module = importlib.import_module("dcreg.driver.solve")
+    solved = module.run_mode
+
+    def at_limit(*arguments, **keywords):
+        found = solved(*arguments, **keywords)
+        return replace(found, status=Status.TIME_LIMIT)
+
+    monkeypatch.setattr(module, "run_mode", at_limit)
+    found = dcreg.register(SOURCE, TARGET, **KEYWORDS, max_rms=max_rms)
+    assert found.status.value == status
 
 
 def test_what_may_be_gained_is_rounded_up():

@@ -72,6 +72,22 @@ def test_the_estimate_from_open_boxes_is_closer(shape, test):
     assert left / 1.5 < estimate < 1.5 * left
 
 
+def test_the_estimate_of_a_continued_search_does_not_end_early(monkeypatch):
+    """Before its first box after a checkpoint, the time per box is unknown."""
+    given = []
+    monkeypatch.setattr(Prospect, "of", lambda *arguments: given.append(arguments) or Prospect(1.0))
+    points = np.random.default_rng(0).random((10, 3))
+    space = Rigid3D.between(points - points.mean(axis=0), points[:8] - points.mean(axis=0), 8)
+    bound, start = RigidBound(space), Start(*space.start(Budget())[:2])
+    search = Search(
+        bound, Budget(), LongestEdge(space.axis_weights), Tolerance(), "search", None, start,
+        None, Confined(Boxes.of(bound.roots), np.inf),
+    )  # fmt: skip
+    search.patience_began -= 1.0
+    search.estimate()
+    assert given[0][-1] == 0.0
+
+
 @pytest.mark.parametrize(
     ("limits", "patience_s", "n_nodes", "poor"),
     [

@@ -36,6 +36,12 @@ def test_a_result_prints_everything_except_the_pairs():
     assert entries["method"] == "similarity2d, mode paper, bound tight"
 
 
+def test_weighted_costs_are_not_printed_as_residuals():
+    found = result(certificate_scope="similarity pose, weighted points")
+    assert "RMS cost         0.1 over 100 pairs" in str(found)
+    assert "RMSE" not in str(found)
+
+
 def test_the_printed_pose_moves_points_with_coordinates_of_maps_to_the_right_place():
     cos, sin = math.cos(1.0), math.sin(1.0)
     pose = np.array([[cos, -sin, 4.5e6 + 1 / 3], [sin, cos, 1 / 7], [0.0, 0.0, 1.0]])
