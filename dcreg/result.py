@@ -380,6 +380,6 @@ def with_answer(result: Result) -> Result:
 
 
 def _above(value: float, limit: float) -> str:
-    """Return a value above a limit with enough digits to show it."""
-    texts = (f"{value:.{digits}g}" for digits in range(4, 17))
+    """Return a lower bound above a limit, rounded down, with enough digits to show it."""
+    texts = (text.rounded_down(value, digits) for digits in range(4, 17))
     return next((shown for shown in texts if float(shown) > limit), f"{value!r}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from decimal import ROUND_FLOOR, Context
 
 _ROUNDING = 1e-6  # in thousandths: a computed 99 % is not 98.9 %
 
@@ -28,6 +29,18 @@ def percent(share: float) -> str:
     ('99.9 %', '100 %', '99.0 %')
     """
     return "100 %" if share >= 1.0 else f"{math.floor(1000.0 * share + _ROUNDING) / 10.0:.1f} %"
+
+
+def rounded_down(value: float, digits: int) -> str:
+    """Return a lower bound with some significant digits; it remains a lower bound.
+
+    Examples
+    --------
+    >>> rounded_down(0.0871298, 4), rounded_down(0.25, 4)
+    ('0.08712', '0.25')
+    """
+    shown = Context(prec=digits, rounding=ROUND_FLOOR).create_decimal(value)
+    return f"{float(shown):.{digits}g}"
 
 
 def listing(entries: Sequence[tuple[str, str]]) -> str:

@@ -157,11 +157,12 @@ class Alternatives(Answer):
         yield "distinct if", f"displaced by more than {self.min_displacement:.4g} (RMS)"
         yield "threshold", f"objective {self.threshold:.6g}"
         residual = math.sqrt(self.lower_bound / self.result.n_inliers)
-        bound = f"{self.lower_bound:.6g} (RMS residual {residual:.4g})"
-        bound += " for every distinct pose that is not listed"
+        residual_shown = text.rounded_down(residual, 4)
+        bound = f"{text.rounded_down(self.lower_bound, 6)} (RMS residual {residual_shown})"
+        bound += " for every pose that is distinct from all listed ones"
         if not self.result.is_exact:
             ratio = self.lower_bound / self.result.upper_bound
-            bound += f"; {ratio:.4g} times the objective of the best pose"
+            bound += f"; {text.rounded_down(ratio, 4)} times the objective of the best pose"
         yield "lower bound", bound
         for each in self.others:
             yield "other pose", f"objective {each.objective:.6g}, {each.motion}"

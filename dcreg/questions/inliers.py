@@ -111,7 +111,10 @@ class MaxInliers(Answer):
         """Yield names and values of the summary."""
         yield "answer", self.answer
         yield "T_target_source", text.pose(self.T_target_source)
-        yield "searches", ", ".join(f"{k} pairs: {status}" for k, status in self.tried)
+        yield (
+            "searches",
+            ", ".join(f"{text.count(k, 'pair')}: {status}" for k, status in self.tried),
+        )
         yield "time", f"{self.time_s:.2f} s"
 
 

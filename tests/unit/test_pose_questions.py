@@ -314,8 +314,19 @@ def test_a_shape_without_symmetry_has_one_pose():
     assert found.is_unique
     assert found.lower_bound >= 1.5 * found.result.upper_bound
     words, _, ratio = dict(found.entries())["lower bound"].partition("; ")
-    assert words.startswith(f"{found.lower_bound:.6g} (RMS residual ")
+    assert found.lower_bound * (1.0 - 1e-5) <= float(words.split()[0]) <= found.lower_bound
     assert float(ratio.split()[0]) >= 1.5
+
+
+def test_printed_bounds_are_rounded_down_and_refer_to_all_listed_poses(best):
+    bound = 20 * 0.0871298**2
+    refuted = replace(best, status=Status.REFUTED, lower_bound=bound, max_rms=0.05)
+    assert "proven: it is at least 0.08712\n" in refuted.summary()
+    found = dcreg.Alternatives(Status.OPTIMAL, best, 0.1, 0.1, bound, [], 1.0)
+    shown = dict(found.entries())["lower bound"]
+    assert shown.startswith(
+        "0.151832 (RMS residual 0.08712) for every pose that is distinct from all listed ones; "
+    )
 
 
 def test_a_line_has_more_poses_than_are_listed():
@@ -534,6 +545,9 @@ def test_a_number_of_points_is_not_called_a_proof(at_most, says):
     answer = dcreg.MaxInliers(0.1, 12, at_most, 20, np.eye(4), np.empty((12, 2), int), [], 1.0)
     assert answer.answer.startswith(f"12 to {at_most} pairs within 0.1")
     assert says in answer.answer
+    tried = [(2, "refuted"), (1, "optimal")]
+    searches = dict(replace(answer, tried=tried).entries())["searches"]
+    assert searches == "2 pairs: refuted, 1 pair: optimal"
 
 
 def test_the_time_that_is_left_lowers_the_upper_end(monkeypatch):
