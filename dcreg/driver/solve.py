@@ -244,14 +244,14 @@ class Finish:
             initial = self._initial(result.T_target_source)
             result = refined(result, problem, searched, self.budget, self.known, initial)
             self._report_refinement(result.objective)
-        result = with_answer(self._exact(result))
-        is_sample = result.downsampled is not None
-        scope = _scope(problem, solution.scope, is_sample=is_sample)
+        result = self._exact(result)
+        if result.max_rms is not None:
+            result = with_answer(result)
+        scope = _scope(problem, solution.scope, is_sample=result.downsampled is not None)
         result = replace(result, certificate_scope=scope)
         if problem.weights is not None:
-            result = replace(
-                result, attribute_cost=problem.weights.attribute_cost(result.assignment)
-            )
+            cost = problem.weights.attribute_cost(result.assignment)
+            result = replace(result, attribute_cost=cost)
         has_scale = problem.has_scale and problem.scale_range[0] < problem.scale_range[1]
         weights = None if problem.weights is None else problem.weights.of(result.assignment)
         result = with_uncertainty(
