@@ -373,10 +373,9 @@ class Result(Document):
 
 
 def with_answer(result: Result) -> Result:
-    """Return a result whose pose meets `max_rms` as converged, even if a limit ended the search."""
-    is_met = result.max_rms is not None and not result._misses_max_rms
-    is_limited = result.status.is_limit
-    return replace(result, status=Status.CONVERGED) if is_met and is_limited else result
+    """Return a result for `max_rms` as converged if its pose meets it, even if a limit was hit."""
+    is_met_at_limit = result.status.is_limit and not result._misses_max_rms
+    return replace(result, status=Status.CONVERGED) if is_met_at_limit else result
 
 
 def _above(value: float, limit: float) -> str:

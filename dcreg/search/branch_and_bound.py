@@ -299,9 +299,8 @@ class Search:
             self.prospect = Prospect(done)
             return 0.0
         spent_s = began - self.patience_began
-        box_s = (
-            (spent_s - self.not_bounding_s) / done if done else 0.0
-        )  # unknown after a checkpoint
+        # unknown before the first box after a checkpoint
+        box_s = (spent_s - self.not_bounding_s) / done if done else 0.0
         found = Prospect.of(
             self.bound.fresh(), self.branching, self.cutoff, boxes, self.within_region, self.budget,
             spent_s, box_s,

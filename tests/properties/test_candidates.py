@@ -222,7 +222,7 @@ def test_candidates_lead_to_the_planted_pose(mode, clutter, noise):
     x, y = (np.concatenate([points, generator.random((clutter, 3))]) for points in (x, y))
     mask = generator.random((len(x), len(y))) < (0.1 if noise else 0.15)
     np.fill_diagonal(mask[:20, :20], True)
-    found = register(x, y, n_inliers=20, model="rigid3d", candidates=mask, mode=mode)
+    found = register(x, y, n_inliers=20, model="rigid3d", candidates=mask, mode=mode, prove=True)
     assert found.mode == {"auto": "full"}.get(mode, mode)
     assert found.status is dcreg.Status.OPTIMAL
     assert mask[found.assignment[:, 0], found.assignment[:, 1]].all()
