@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from workflows.config import Experiment
+from workflows.outlook import runs_here
 from workflows.stages.plan import PlannedRun
 
 CELL = ["method", "test", "level"]
@@ -26,6 +27,8 @@ class Forecast:
     seconds : float
     unseen : int
         Runs that have no measured cell.
+    unseen_seconds : float
+        Expected CPU time of these.
     megabytes : float or None
         None if no run has been measured.
     """
@@ -33,6 +36,7 @@ class Forecast:
     runs: int
     seconds: float
     unseen: int
+    unseen_seconds: float = 0.0
     megabytes: float | None = None
 
     def __str__(self) -> str:
@@ -88,27 +92,38 @@ class Times:
 
     def of_runs(self, runs: Iterable[PlannedRun]) -> Forecast:
         """Return the forecast of planned runs."""
-        count, seconds, unseen = 0, 0.0, 0
+        count, seconds, unseen, unseen_seconds = 0, 0.0, 0, 0.0
+        is_here: dict[str, bool] = {}
         for run in runs:
-            expected, is_seen = self.of_cell(run.method.name, run.instance.test, run.instance.level)
-            count, seconds, unseen = count + 1, seconds + expected, unseen + (not is_seen)
+            count, name = count + 1, run.method.name
+            if name not in is_here:
+                is_here[name] = runs_here(run.method)
+            if not is_here[name]:  # ends at once as unavailable
+                continue
+            expected, is_seen = self.of_cell(name, run.instance.test, run.instance.level)
+            seconds += expected
+            if not is_seen:
+                unseen, unseen_seconds = unseen + 1, unseen_seconds + expected
         disk = None if self.bytes_per_run is None else count * self.bytes_per_run / 1e6
-        return Forecast(count, seconds, unseen, disk)
+        return Forecast(count, seconds, unseen, unseen_seconds, disk)
+
+    def has_measured(self, method: str, test: str) -> bool:
+        return (method, test) in {key[:2] for key in self.cells.index}
 
     def of_cell(self, method: str, test: str, level: float) -> tuple[float, bool]:
         """Return the expected seconds of a run, and whether its cell has been measured.
 
-        An unseen cell takes as long as the nearest level of its test. In an unseen test, it takes the
-        geometric mean of the slowest test of the method, in any experiment, and of its limit; otherwise
-        the limit.
+        Between measured levels of a test, times are interpolated linearly; beyond them, they are those of
+        the nearest level. In an unseen test, a run takes the geometric mean of the slowest test of the
+        method, in any experiment, and of its limit; otherwise the limit.
         """
         if (method, test, level) in self.cells.index:
             return float(self.cells["mean"].loc[(method, test, level)]), True
         own = self.cells[self.cells.index.get_level_values("method") == method]
-        same = own[own.index.get_level_values("test") == test]
+        same = own[own.index.get_level_values("test") == test].sort_index()
         if len(same):
-            nearest = np.abs(same.index.get_level_values("level").to_numpy() - level).argmin()
-            return float(same["mean"].iloc[nearest]), False
+            levels = same.index.get_level_values("level").to_numpy(dtype=float)
+            return float(np.interp(level, levels, same["mean"])), False
         if len(own):
             slowest = float(own.groupby("test")["mean"].mean().max())
             return float(np.sqrt(slowest * self.limits[method])), False

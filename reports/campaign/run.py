@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import os
 import signal
 import threading
@@ -13,12 +14,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
 from baselines import registry
 from reports.campaign.choice import Option, options
-from reports.campaign.forecast import Forecast, Times, bytes_per_run
+from reports.campaign.forecast import TIMED, Forecast, Times, bytes_per_run
+from reports.campaign.pilot import Pair, pilots, unmeasured
 from reports.ledger.book import Ledger, ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.judging import Judgement, judge
@@ -26,11 +29,12 @@ from reports.tables import Tables
 from workflows.archives import archived, folders, runs_of, runs_of_others
 from workflows.blocks import EVIDENCE, NEEDS, Needs
 from workflows.compose import QUICK
-from workflows.config import Experiment, load, origin
+from workflows.config import Experiment, Selection, load, origin
+from workflows.journal import journalled
 from workflows.live import View
 from workflows.outcomes import NOT_NEEDED
 from workflows.running import INTERRUPTED, run_snakemake
-from workflows.stages.plan import Plan, expand
+from workflows.stages.plan import InstanceSpec, Plan, expand, method_identity, run_identity
 
 LOG = "forecast.csv"  # of all blocks: forecast and actual time
 
@@ -100,9 +104,7 @@ class Campaign:
         """
         tables = self.tables()
         quick = self.folder.parent.with_name(f"{self.experiment.name}{QUICK}") / "tables"
-        known = [] if tables is None else [tables.runs]
-        if (stored := runs_of(self.experiment.name)) is not None:
-            known.append(stored)
+        known = [self.ended(), self.stored]
         if (quick / "accounting.csv").is_file():
             known.append(Times.as_limited(Tables.load(quick).runs, self.experiment))
         if (others := runs_of_others(self.experiment.name)) is not None:
@@ -111,10 +113,46 @@ class Campaign:
         measured = bytes_per_run(self.folder.parent, own) if own else None
         return Times.of(known, self.experiment, measured)
 
+    @cached_property
+    def specs(self) -> dict[str, InstanceSpec]:
+        """All instances of the experiment by their instance_id."""
+        chunks = expand(self.experiment).chunks
+        return {spec.instance_id: spec for chunk in chunks for spec in chunk.instances}
+
+    @cached_property
+    def stored(self) -> pd.DataFrame:
+        """The runs in the latest archive that has some."""
+        runs = runs_of(self.experiment.name)
+        return pd.DataFrame(columns=["run_id", *TIMED]) if runs is None else runs
+
+    def ended(self) -> pd.DataFrame:
+        """Return method, test, level and seconds of ended runs, also of an interrupted block.
+
+        Runs of earlier versions of a method are left out.
+        """
+        rows = []
+        for method in self.experiment.methods:
+            identity = method_identity(self.experiment, method)
+            version = registry.fingerprint(method.baseline)
+            for row in journalled(self.folder.parent / "runs" / method.name).values():
+                spec = self.specs.get(row["instance_id"])
+                if spec is None or row["fingerprint"] != version:
+                    continue
+                if row["run_id"] == run_identity(identity, spec.instance_id):
+                    seconds = row.get("time_solve_s"), row.get("time_overhead_s")
+                    rows.append((row["run_id"], method.name, spec.test, spec.level, *seconds))
+        return pd.DataFrame(rows, columns=["run_id", *TIMED])
+
+    def forecast(self, part: Selection) -> Forecast:
+        """Return the forecast of a part of the experiment that has not been run."""
+        return self.times().of_runs(expand(self.experiment, part).runs())
+
     def unfinished(self) -> Forecast:
         """Return the forecast of the needed runs without a result, here or in an archive."""
         tables = self.tables()
-        done = set() if tables is None else set(tables.runs["run_id"])
+        done = set(self.ended()["run_id"])
+        if tables is not None:
+            done |= set(tables.runs["run_id"])
         for method in self.experiment.methods:
             version = registry.fingerprint(method.baseline)
             done |= {run_id for run_id, _, known in archived(method.name) if known == version}
@@ -142,24 +180,36 @@ def collect(
     end = time.monotonic() + 3600.0 * hours
     may_go_on = _finish_blocks(campaigns.values(), end, cores, out, console)
     ahead = _ahead(book, campaigns)
-    while may_go_on:
-        left_s = end - time.monotonic()
-        fitting = [
-            (name, option)
-            for name, option in ahead
-            if not option.obstacle and option.step.seconds <= left_s * cores
-        ]
-        if not fitting:
-            break
-        name, option = fitting[0]
-        option.needs.write(campaigns[name].needs_path)
-        may_go_on = _run(campaigns[name], option.claim, option.step, end, cores, out, console)
+    tried: set[Pair] = set()  # by a pilot; a method that fails remains unmeasured
+    while may_go_on and (chosen := _next(ahead, (end - time.monotonic()) * cores)):
+        campaign, option = campaigns[chosen[0]], chosen[1]
+        run = functools.partial(_run, campaign, end=end, cores=cores, out=out, console=console)
+        pairs = unmeasured(option, campaign.times(), campaign.experiment)
+        if pairs := [pair for pair in pairs if pair not in tried]:
+            tried.update(pairs)
+            parts = pilots(pairs, campaign.experiment)
+            may_go_on = all(run(option.claim, campaign.forecast(part), part) for part in parts)
+        else:
+            option.needs.write(campaign.needs_path)
+            may_go_on = run(option.claim, option.step)
         ahead = _ahead(book, campaigns)
     for name, campaign in campaigns.items():
         out.mkdir(parents=True, exist_ok=True)
         campaign.times().cells.round(4).to_csv(out / f"{name}.times.csv")
     _print(console, book, campaigns, [option for _, option in ahead])
     return [option for _, option in ahead]
+
+
+def _next(ahead: Sequence[tuple[str, Option]], left_s: float) -> tuple[str, Option] | None:
+    """Return the first option that fits into `left_s` seconds of CPU; if none does, the shortest step.
+
+    The next call finishes a step that was begun.
+    """
+    if left_s <= 0.0:
+        return None
+    helping = [each for each in ahead if not each[1].obstacle]
+    fitting = [each for each in helping if each[1].step.seconds <= left_s]
+    return next(iter(fitting), min(helping, key=lambda each: each[1].step.seconds, default=None))
 
 
 def _finish_blocks(
@@ -171,7 +221,7 @@ def _finish_blocks(
         rest = campaign.unfinished()
         is_begun = campaign.needs_path.is_file() and campaign.tables() is None
         if (rest.runs or is_begun) and not _run(
-            campaign, "continue", rest, end, cores, out, console
+            campaign, "continue", rest, end=end, cores=cores, out=out, console=console
         ):
             return False
     return True
@@ -193,38 +243,37 @@ def _run(
     campaign: Campaign,
     claim: str,
     expected: Forecast,
+    part: Selection | None = None,
+    *,
     end: float,
     cores: int,
     out: Path,
     console: Console,
 ) -> bool:
-    """Run the needed blocks of an experiment; return whether they ended before `end`."""
-    console.print(f"block     {campaign.name}, {claim}: {expected}", soft_wrap=True)
-    before = campaign.tables()
-    known = set() if before is None else set(before.runs["run_id"])
-    began = time.monotonic()
-    arguments = [
-        "tables", "--cores", str(cores), "--resources", "fetching=1",
-        "--config", f"experiment={campaign.name}", f"needs={campaign.needs_path.resolve()}",
-    ]  # fmt: skip
+    """Run the needed blocks of an experiment, or a pilot; return whether they ended before `end`."""
+    title = f"{claim}, pilot" if part else claim
+    console.print(f"block     {campaign.name}, {title}: {expected}", soft_wrap=True)
+    before, began = set(campaign.ended()["run_id"]), time.monotonic()
+    plan = expand(campaign.experiment, part, origin(campaign.name)) if part else campaign.plan()
     with _interrupted_at(end):
         code = run_snakemake(
             campaign.directory,
             campaign.experiment.name,
-            arguments,
-            view_of=lambda: View(campaign.plan(), campaign.folder.parent, cores, console),
-        )
-    after = campaign.tables()
-    if code or after is None:
+            [*_targets(campaign, plan), "--cores", str(cores), "--resources", "fetching=1",
+             "--config", f"experiment={campaign.name}", *_settings(campaign, part)],
+            view_of=lambda: View(plan, campaign.folder.parent, cores, console),
+        )  # fmt: skip
+    if code or not (part or campaign.tables()):
         what = "the time is over" if code == INTERRUPTED else "some stages failed; see above"
         console.print(f"stopped   {what}; the same command continues from here")
         return False
-    new = after.runs[~after.runs["run_id"].isin(known) & (after.runs["outcome"] != NOT_NEEDED)]
-    actual = float((new["time_solve_s"] + new["time_overhead_s"].fillna(0.0)).sum())
+    ended = campaign.ended()
+    new = ended[~ended["run_id"].isin(before)]
+    actual = float(new[["time_solve_s", "time_overhead_s"]].sum().sum())
     _append(
         out / LOG,
         {
-            "experiment": campaign.experiment.name, "claim": claim, "runs": len(new),
+            "experiment": campaign.experiment.name, "claim": title, "runs": len(new),
             "unseen": expected.unseen, "forecast_s": round(expected.seconds, 1),
             "actual_s": round(actual, 1), "wall_s": round(time.monotonic() - began, 1),
             "forecast_mb": expected.megabytes,
@@ -232,6 +281,21 @@ def _run(
     )  # fmt: skip
     console.print(f"          took {actual / 60:.0f} min of CPU")
     return True
+
+
+def _targets(campaign: Campaign, plan: Plan) -> list[str]:
+    """Return what Snakemake makes: the tables of all blocks, or just the runs of a pilot."""
+    if plan.needs is not None:
+        return ["tables"]
+    runs = f"results/{campaign.experiment.name}/runs"
+    return [f"{runs}/{method.name}/{chunk.name}.parquet" for method, chunk in plan.jobs()]
+
+
+def _settings(campaign: Campaign, part: Selection | None) -> list[str]:
+    if part is None:
+        return [f"needs={campaign.needs_path.resolve()}"]
+    axes = (f"{axis}={','.join(map(str, values))}" for axis, values in part if values)
+    return [f"select={' '.join(axes)}"]
 
 
 @contextmanager

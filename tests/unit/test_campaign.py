@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import io
 import time
+from dataclasses import replace
 
 import pandas as pd
 import pytest
 from rich.console import Console
 
-from reports.campaign import choice, run
-from reports.campaign.choice import options
+from baselines import registry
+from reports.campaign import choice, forecast, pilot, run
+from reports.campaign.choice import Option, options
 from reports.campaign.forecast import Forecast, Times, bytes_per_run
+from reports.campaign.pilot import pilots, unmeasured
 from reports.campaign.run import Campaign
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.judging import judge
 from workflows.blocks import Needs
 from workflows.config import load
+from workflows.integrity import sealed
 from workflows.stages.plan import expand
 
 NAME = "paper2d-40"
@@ -50,9 +54,11 @@ def test_a_measured_cell_is_expected_to_take_its_mean():
     assert known.of_cell("rpm_pa", "noise", 0.02) == (2.0, True)
 
 
-def test_unseen_cells_use_the_nearest_level_then_the_method_then_the_limit():
-    known = times(("rpm_pa", "noise", 0.02, 4.0), ("rpm_pa", "noise", 0.05, 9.0))
-    assert known.of_cell("rpm_pa", "noise", 0.03) == (4.0, False)
+def test_unseen_cells_use_their_test_then_the_method_then_the_limit():
+    known = times(("rpm_pa", "noise", 0.05, 9.0), ("rpm_pa", "noise", 0.02, 4.0))
+    assert known.of_cell("rpm_pa", "noise", 0.032) == (pytest.approx(6.0), False)
+    assert known.of_cell("rpm_pa", "noise", 0.01) == (4.0, False)
+    assert known.of_cell("rpm_pa", "noise", 0.06) == (9.0, False)
     limit = known.limits["rpm_pa"]
     assert known.of_cell("rpm_pa", "deformation", 0.0) == ((6.5 * limit) ** 0.5, False)
     assert known.of_cell("rpm_cav", "noise", 0.02) == (known.limits["rpm_cav"], False)
@@ -91,6 +97,91 @@ def test_disk_is_forecast_from_the_bytes_per_run(tmp_path):
     assert found.megabytes == pytest.approx(found.runs * 1000 / 1e6)
     assert "MB" in str(found)
     assert "MB" not in str(Forecast(1, 2.0, 1))
+
+
+def test_methods_that_are_not_installed_take_no_time(monkeypatch):
+    monkeypatch.setattr(forecast, "runs_here", lambda method: method.name != "rpm_pa")
+    plan = expand(EXPERIMENT, None, NAME, NONE.with_block("noise", ["rpm_pa", "rpm_cav"]))
+    found, limit = times().of_runs(plan.runs()), times().limits["rpm_cav"]
+    assert found.runs == 2 * found.unseen
+    assert found.seconds == found.unseen_seconds == found.unseen * limit
+
+
+@pytest.fixture
+def costly():
+    """The option of a claim about a method whose runs in one of two tests are measured."""
+    needs = NONE.with_block("noise", ["rpm_pa"]).with_block("deformation", ["rpm_pa"])
+    step = Forecast(24, 5000.0, 12, 2400.0)
+    return Option("claim", needs, step, step, 1)
+
+
+def test_a_pilot_runs_two_levels_of_unmeasured_tests(costly):
+    known = times(("rpm_pa", "noise", 0.02, 4.0))
+    pairs = unmeasured(costly, known, EXPERIMENT)
+    assert pairs == [("rpm_pa", "deformation")]
+    (part,) = pilots(pairs, EXPERIMENT)
+    plan = expand(EXPERIMENT, part)
+    (levels,) = {tuple(entry.tests["deformation"]) for entry in EXPERIMENT.datasets}
+    assert part.levels == [levels[len(levels) // 4], levels[3 * len(levels) // 4]]
+    block = expand(EXPERIMENT, None, NAME, costly.needs)
+    assert {run.run_id for run in plan.runs()} < {run.run_id for run in block.runs()}
+    measured = times(*(("rpm_pa", "deformation", level, 1.0) for level in part.levels))
+    assert not any(pair[1] == "deformation" for pair in unmeasured(costly, measured, EXPERIMENT))
+
+
+def test_short_unmeasured_steps_and_absent_methods_have_no_pilot(costly, monkeypatch):
+    short = replace(costly, step=replace(costly.step, unseen_seconds=60.0))
+    assert not unmeasured(short, times(), EXPERIMENT)
+    monkeypatch.setattr(pilot, "runs_here", lambda method: False)
+    assert not unmeasured(costly, times(), EXPERIMENT)
+
+
+def test_the_shortest_step_is_begun_if_none_fits(costly):
+    long = replace(costly, claim="long", step=replace(costly.step, seconds=9000.0))
+    none = replace(costly, claim="none", step=replace(costly.step, seconds=1.0), obstacle="why")
+    ahead = [(NAME, none), (NAME, long), (NAME, costly)]
+    assert run._next(ahead, 10000.0) == (NAME, long)
+    assert run._next(ahead, 6000.0) == (NAME, costly)
+    assert run._next(ahead, 1.0) == (NAME, costly)
+    assert run._next(ahead, 0.0) is None
+    assert run._next(ahead[:1], 6000.0) is None
+
+
+def test_a_pilot_precedes_its_block_once(costly, tmp_path, monkeypatch):
+    """Also if it measures nothing: its method fails."""
+    begun = []
+
+    def ended(campaign, claim, expected, part=None, **_):
+        begun.append((claim, part and part.tests))
+        return len(begun) < 2
+
+    monkeypatch.setenv("DCREG_ARCHIVES", "")
+    monkeypatch.setattr(run, "_run", ended)
+    monkeypatch.setattr(run, "_finish_blocks", lambda *_: True)
+    monkeypatch.setattr(run, "_ahead", lambda *_: [(NAME, costly)])
+    monkeypatch.setattr(run, "unmeasured", lambda *_: [("rpm_pa", "noise")])
+    run.collect(1.0, [NAME], tmp_path, 1, tmp_path / "out")
+    assert begun == [("claim", ["noise"]), ("claim", None)]
+    assert Needs.read(Campaign(NAME, tmp_path).needs_path) == costly.needs
+
+
+def test_runs_of_an_interrupted_block_are_measured_and_done(tmp_path, monkeypatch):
+    monkeypatch.setenv("DCREG_ARCHIVES", "")
+    campaign = Campaign(NAME, tmp_path)
+    NONE.with_block("noise", ["rpm_pa"]).write(campaign.needs_path)
+    planned = list(campaign.plan().runs())
+    row = {"run_id": planned[0].run_id, "instance_id": planned[0].instance.instance_id,
+           "instance_digest": "", "fingerprint": registry.fingerprint("rpm_pa"),
+           "time_solve_s": 3.0, "time_overhead_s": 1.0, "status": "optimal"}  # fmt: skip
+    path = tmp_path / "results" / NAME / "runs" / "rpm_pa" / "2d-00-000000.journal.jsonl"
+    path.parent.mkdir(parents=True)
+    other = {**row, "run_id": "other", "time_solve_s": 100.0}  # with another limit
+    old = {**row, "fingerprint": "rpm_pa 0", "time_solve_s": 100.0}
+    path.write_text("".join(f"{sealed(each)}\n" for each in (row, other, old)))
+    assert campaign.ended()["run_id"].tolist() == [planned[0].run_id]
+    spec = planned[0].instance
+    assert campaign.times().of_cell("rpm_pa", spec.test, spec.level) == (4.0, True)
+    assert campaign.unfinished().runs == len(planned) - 1
 
 
 def test_every_claim_about_the_experiment_has_a_next_block(unseen):
@@ -183,7 +274,9 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
     console = Console(file=io.StringIO(), width=200)
     expected = Forecast(1, 2.0, 0)
     end = time.monotonic() + 600.0
-    assert not run._run(campaign, "claim", expected, end, 2, tmp_path, console)
+    assert not run._run(
+        campaign, "claim", expected, end=end, cores=2, out=tmp_path, console=console
+    )
     count = len(list(campaign.plan().runs()))
     assert views[0].summary([]).startswith(f"0 of {count} runs ended")
     assert views[0].console is console
@@ -192,7 +285,7 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
 def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monkeypatch):
     begun = []
 
-    def interrupted(campaign, claim, *_):
+    def interrupted(campaign, claim, *_, **__):
         begun.append((campaign.name, claim))
         return False
 
