@@ -21,6 +21,7 @@ from rich.table import Table
 from baselines import registry
 from reports.campaign.choice import Option, options
 from reports.campaign.forecast import TIMED, Forecast, Times, bytes_per_run
+from reports.campaign.growth import changes, verdicts
 from reports.campaign.pilot import Pair, pilots, unmeasured
 from reports.ledger.book import Ledger, ledger
 from reports.ledger.evidence import Evidence, plain_name
@@ -196,6 +197,11 @@ def collect(
     for name, campaign in campaigns.items():
         out.mkdir(parents=True, exist_ok=True)
         campaign.times().cells.round(4).to_csv(out / f"{name}.times.csv")
+        if (tables := campaign.tables()) is not None:
+            table = verdicts(tables, book)
+            table.to_csv(out / f"{name}.verdicts.csv")
+            for line in changes(table):
+                console.print(f"changed   {line}", soft_wrap=True)
     _print(console, book, campaigns, [option for _, option in ahead])
     return [option for _, option in ahead]
 

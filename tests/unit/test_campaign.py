@@ -5,20 +5,25 @@ from __future__ import annotations
 import io
 import time
 from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
 import pytest
 from rich.console import Console
 
 from baselines import registry
-from reports.campaign import choice, forecast, pilot, run
+from reports.campaign import choice, forecast, growth, pilot, run
 from reports.campaign.choice import Option, options
 from reports.campaign.forecast import Forecast, Times, bytes_per_run
+from reports.campaign.growth import changes
 from reports.campaign.pilot import pilots, unmeasured
 from reports.campaign.run import Campaign
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
+from reports.ledger.intervals import NOT_RUN
 from reports.ledger.judging import judge
+from reports.tables import Tables
 from workflows.blocks import Needs
 from workflows.config import load
 from workflows.integrity import sealed
@@ -27,6 +32,13 @@ from workflows.stages.plan import expand
 NAME = "paper2d-40"
 EXPERIMENT = load(NAME)
 NONE = Needs({})
+
+
+class Named(NamedTuple):
+    """A judgement, as far as its verdict is concerned."""
+
+    id: str
+    verdict: str
 
 
 def times(*cells: tuple[str, str, float, float]) -> Times:
@@ -295,3 +307,36 @@ def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monke
     monkeypatch.setattr(run, "_ahead", lambda *_: [])
     run.collect(1.0, names, tmp_path, 1, tmp_path / "out")
     assert begun == [(NAME, "continue")]
+
+
+def test_a_verdict_that_was_taken_back_is_named():
+    table = pd.DataFrame(
+        {
+            1.0: ["open", "reproduced", "not run", "refuted"],
+            2.0: ["reproduced", "open", "open", "refuted"],
+            2.5: ["reproduced", "open", "refuted", "reproduced"],
+        },
+        index=["kept", "taken back", "late", "turned"],
+    )
+    assert changes(table) == [
+        "taken back: reproduced after 1 h, open after 2 h",
+        "turned: refuted after 1 h, reproduced after 2.5 h",
+    ]
+
+
+def test_verdicts_are_those_of_the_blocks_that_fit_into_the_hours(monkeypatch):
+    runs = pd.DataFrame(
+        {"experiment": NAME, "trial": [0, 0, 1, 2, 3], "time_solve_s": [1800.0, None, 1800, 3600, 1800],
+         "time_overhead_s": 0.0}
+    )  # fmt: skip
+    tables = Tables(Path(), runs, pd.DataFrame(), {}, [])
+    monkeypatch.setattr(growth.Evidence, "of_tables", lambda part: sorted(set(part.runs["trial"])))
+    monkeypatch.setattr(
+        growth, "judge", lambda book, seen, names: [Named("a", str(seen)), Named("b", NOT_RUN)]
+    )
+    table = growth.verdicts(tables, ledger())
+    assert table.to_dict() == {
+        1.0: {"a": "[0, 1]"},
+        2.0: {"a": "[0, 1, 2]"},
+        2.5: {"a": "[0, 1, 2, 3]"},
+    }
