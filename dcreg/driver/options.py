@@ -10,6 +10,7 @@ import numpy as np
 
 from dcreg.names import DEFAULT_REL_GAP, START_BOXES
 from dcreg.problem.errors import InputError, suggestion
+from dcreg.problem.geometry import error_of_sum
 from dcreg.search import Budget, Listener, Tolerance
 
 MAX_DEFAULT_THREADS = 8  # more make few searches faster, and the machine serves others as well
@@ -206,7 +207,7 @@ class Limits:
         check_positive("max_rms", self.max_rms)
 
     def tolerance(
-        self, n_inliers: int, rounding: float, exact: float, share: float = 1.0
+        self, n_inliers: int, rounding: float, exact: float, share: float = 1.0, bits: float = 0.0
     ) -> Tolerance:
         """Return the tolerance of a search.
 
@@ -220,11 +221,14 @@ class Limits:
             The objective up to which a fit counts as exact.
         share : float
             Share of these pairs that is searched. A sample gets this share of `abs_gap`.
+        bits : float
+            Rounding error of a residual.
         """
         abs_gap = max(share * (self._abs_gap(n_inliers) or 0.0), rounding)
         # an exact fit has a residual of 0 up to rounding
         target = None if self.max_rms is None else max(n_inliers * self.max_rms**2, exact)
-        return Tolerance(self.rel_gap, abs_gap, exact, target)
+        margin = 0.0 if target is None else error_of_sum(target, n_inliers, bits)
+        return Tolerance(self.rel_gap, abs_gap, exact, target, margin)
 
     def _abs_gap(self, n_inliers: int) -> float | None:
         """Return the absolute tolerance, which may be given as a length per pair."""

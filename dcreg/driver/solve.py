@@ -34,7 +34,7 @@ from dcreg.families.mode import Mode
 from dcreg.families.rigid3d.kernels.boxes import FEW_PAIRS
 from dcreg.names import AUTO, OF_SAMPLE, START_BOXES
 from dcreg.problem import Frame, InputError, Moments, Problem, checked_pose
-from dcreg.problem.geometry import exact_objective, rounding_error
+from dcreg.problem.geometry import exact_objective, last_bits, rounding_error
 from dcreg.result import Result, Stage, Trace, with_answer
 from dcreg.result_parts import MemoryEstimate
 from dcreg.runner_up import DISTINCT, find_runner_up
@@ -197,8 +197,8 @@ class Setup:
         problem, mode, options, frame = self.searched[at], self.mode, self.options, self.frame
         source, target, k = problem.source, problem.target, problem.n_inliers
         given = self.problems[at].n_inliers
-        rounding = rounding_error(source, target, k)
-        tolerance = self.limits.tolerance(given, rounding, exact_value(problem), k / given)
+        errors = rounding_error(source, target, k), exact_value(problem)
+        tolerance = self.limits.tolerance(given, *errors, k / given, last_bits(source, target))
         return NormalisedProblem(
             frame.source(source), frame.target(target), k, problem.scale_range, problem.candidates,
             frame, options.bound or mode.own_bound, options.start_box == START_BOXES[0],

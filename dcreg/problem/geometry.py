@@ -263,14 +263,23 @@ def exact_objective(source: np.ndarray, target: np.ndarray, n_inliers: int) -> f
     return EXACT * _rounding(source, target, n_inliers, unit)
 
 
+def last_bits(source: np.ndarray, target: np.ndarray) -> float:
+    """Return the rounding error of a residual: a few last bits of the coordinates."""
+    return 16.0 * float(np.finfo(float).eps * max(np.abs(source).max(), np.abs(target).max()))
+
+
+def error_of_sum(value: float, n_pairs: int, bits: float) -> float:
+    """Return the error of a sum of squares if each residual may be wrong by `bits`."""
+    return 2.0 * math.sqrt(n_pairs * value) * bits + n_pairs * bits**2
+
+
 def typical_radius(points: np.ndarray) -> float:
     """Return the median distance of the points from their coordinate-wise median."""
     return float(np.sqrt(np.median(((points - np.median(points, axis=0)) ** 2).sum(axis=1))))
 
 
 def _rounding(source: np.ndarray, target: np.ndarray, n_inliers: int, unit: float) -> float:
-    last_bits = 16.0 * np.finfo(float).eps * max(np.abs(source).max(), np.abs(target).max())
-    return float(n_inliers * (_ROUNDING * (unit or 1.0) ** 2 + last_bits**2))
+    return n_inliers * (_ROUNDING * (unit or 1.0) ** 2 + last_bits(source, target) ** 2)
 
 
 def fit_pose(

@@ -28,6 +28,7 @@ from dcreg.families.region import InRegion
 from dcreg.jit import is_compiled
 from dcreg.names import AUTO
 from dcreg.problem import Problem
+from dcreg.problem.geometry import last_bits
 from dcreg.questions.kernels import rigid_counts, similar_counts
 from dcreg.search import (
     Box,
@@ -67,7 +68,9 @@ class CountBound(SpaceBound[Any]):
         space, reach = space_of(setup.mode, normalised), distance / setup.frame.unit
         kernel, reach = _KERNELS[setup.mode.model, setup.mode.name], reach * (1.0 + _ROUNDING)
         roots, threads = _roots(space, reach), normalised.threads
-        return cls(space, roots, threads, kernel, reach + _ROUNDING**1.5, most)
+        given = setup.problems[-1]
+        bits = last_bits(given.source, given.target) / setup.frame.unit
+        return cls(space, roots, threads, kernel, reach + bits + _ROUNDING**1.5, most)
 
     def fresh(self) -> CountBound:
         return self

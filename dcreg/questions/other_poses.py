@@ -13,6 +13,7 @@ from dcreg.driver.normalised import NormalisedProblem
 from dcreg.driver.solve import Setup
 from dcreg.families.region import Far, FarStationary
 from dcreg.problem import rms_radius
+from dcreg.problem.geometry import error_of_sum, last_bits
 from dcreg.result import Result
 from dcreg.search import Budget, Start, Tolerance
 from dcreg.status import Status
@@ -175,7 +176,10 @@ class Search:
 
     def _search(self, region: Far, minima: list[Known], budget: Budget, threshold: float) -> Found:
         """Search for a pose of the region below the threshold."""
-        tolerance = Tolerance(rel=1e-6, target=threshold)
+        given = self.setup.problems[-1]
+        bits = last_bits(given.source, given.target) / self.setup.frame.unit
+        margin = error_of_sum(threshold, self.normalised.n_inliers, bits)
+        tolerance = Tolerance(rel=1e-6, target=threshold, margin=margin)
         problem = replace(self.normalised, region=region, tolerance=tolerance, init=None)
         attempt = Attempt(replace(self.setup.mode, stage=STAGE), problem)
         ends = [(T, value) for T, value in minima if region.contains(T)]

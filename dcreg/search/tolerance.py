@@ -27,12 +27,15 @@ class Tolerance:
     target : float, optional
         The search ends when it is known whether the minimum is at most this value: as ``converged`` with
         an upper bound of at most `target`, as ``refuted`` with a lower bound above it.
+    margin : float
+        Rounding error of an objective near the target: the lower bound must exceed the target by more.
     """
 
     rel: float = 0.0
     abs: float = 0.0
     exact: float | None = None
     target: float | None = None
+    margin: float = 0.0
 
     @property
     def enough(self) -> float:
@@ -56,13 +59,13 @@ class Tolerance:
     def cutoff(self, upper_bound: float) -> float:
         """Return the lower bound at which the search ends; it falls with the upper bound."""
         if self.target is not None and upper_bound > self.target:
-            return self.target * _ABOVE
+            return (self.target + self.margin) * _ABOVE
         return upper_bound - self.allowed(upper_bound)
 
     def status(self, lower_bound: float, upper_bound: float) -> Status | None:
         """Return the status of a search with these bounds; None if the gap is open."""
         if self.target is not None and upper_bound > self.target:
-            return Status.REFUTED if lower_bound > self.target else None
+            return Status.REFUTED if lower_bound > self.target + self.margin else None
         if lower_bound < self.cutoff(upper_bound):
             return None if self.target is None else Status.CONVERGED
         is_trivial = lower_bound <= 0.0 and self.exact is not None
@@ -78,7 +81,7 @@ class Tolerance:
         """Return the tolerance of the objective multiplied by `factor`."""
         exact = None if self.exact is None else factor * self.exact
         target = None if self.target is None else factor * self.target
-        return Tolerance(self.rel, factor * self.abs, exact, target)
+        return Tolerance(self.rel, factor * self.abs, exact, target, factor * self.margin)
 
 
 def proven_share(lower_bound: float, upper_bound: float) -> float:

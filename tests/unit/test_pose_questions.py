@@ -17,6 +17,7 @@ from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Setup
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem import Problem, apply_pose, largest_matching
+from dcreg.problem.geometry import fit_pose
 from dcreg.questions import inliers
 from dcreg.questions.certify import _percent_above
 from dcreg.questions.counting import CountBound
@@ -869,6 +870,25 @@ def test_a_residual_that_stays_open_has_the_exit_code_of_a_limit(files, monkeypa
     assert "proof not expected soon" in ran.output
     assert "answer           open: no pose was found that matches 20 pairs" in ran.output
     assert ran.exit_code == 3
+
+
+@pytest.mark.parametrize("seed", [10, 46, 66, 104])
+def test_an_attainable_residual_is_not_refuted_by_the_rounding_of_a_far_point(seed):
+    """The fit to three of the points is the witness."""
+    generator = np.random.default_rng(seed)
+    far, noise = 10.0 ** generator.integers(3, 9), 10.0 ** generator.integers(-9, -4)
+    target = generator.standard_normal((3, 3))
+    near = target + 0.8 * noise * generator.standard_normal((3, 3))
+    pose = fit_pose(near, target, (1.0, 1.0))
+    rms = float(np.sqrt(((apply_pose(pose, near) - target) ** 2).sum(axis=1).mean()))
+    status = [
+        dcreg.register(
+            np.vstack([near, np.full((1, 3), far)]), target, n_inliers=3, model="rigid3d",
+            max_rms=factor * rms, node_limit=20_000, options=dcreg.SolveOptions(prove=True),
+        ).status
+        for factor in (1 + 1e-6, 0.5)
+    ]  # fmt: skip
+    assert status == [dcreg.Status.CONVERGED, dcreg.Status.REFUTED]
 
 
 @pytest.mark.parametrize(("max_rms", "status"), [(1.0, "converged"), (0.01, "time_limit")])

@@ -32,6 +32,14 @@ def test_a_pruned_box_stays_pruned_while_the_upper_bound_falls(tolerance, a, b):
     assert tolerance.cutoff(low) <= tolerance.cutoff(high) + 1e-9 * high
 
 
+def test_a_target_is_refuted_only_beyond_the_rounding_error():
+    tolerance = Tolerance(target=2.0, margin=0.5).scaled(4.0)
+    assert tolerance.status(10.0, 20.0) is None
+    assert tolerance.status(10.1, 20.0) is Status.REFUTED
+    assert tolerance.status(tolerance.cutoff(20.0), 20.0) is Status.REFUTED
+    assert tolerance.status(0.0, 8.0) is not None
+
+
 @given(TOLERANCES, VALUES, VALUES)
 def test_optimal_needs_a_closed_gap_and_a_proof(tolerance, a, b):
     lower, upper = sorted((a, b))
