@@ -1,9 +1,10 @@
 """How soon optima are proven: ``python -m workflows.studies.proof OUT``.
 
 Every problem has 100 points (``--points``) before its disturbance. ``n_inliers`` is the number of true
-pairs, or ``--share`` of it. The search continues to the time limit (``prove=True``). Poses are rigid in
-3D; with ``--axis`` the axis of the rotation is known, which leaves four degrees of freedom. With
-``--plane`` they are similarities of side views, which lack the axis of smallest extent. The study writes
+pairs, or ``--share`` of it. The search continues to the time limit (``prove=True``). ``--poses`` are
+rigid in 3D by default; with ``axis`` the axis of the rotation is known, which leaves four degrees of
+freedom; with ``scaled`` they are similarities in 3D, and each target has another scale; with ``plane``
+they are similarities of side views, which lack the axis of smallest extent. The study writes
 ``proof.csv``, a row per solve with the lower bound at several moments divided by the final upper bound,
 and ``proof_summary.csv``, a row per test and level. Existing rows are kept, so an interrupted study can
 be continued.
@@ -14,6 +15,8 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterator
+from dataclasses import replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -25,6 +28,7 @@ from scipy.spatial.transform import Rotation
 import dcreg
 from data.contract import Dataset, PrototypeDataset, RawInstance
 from data.registry import dataset
+from dcreg.problem.problem import DEFAULT_SCALE_RANGE
 from dcreg.status import Status
 from workflows.disturb import make_instance
 from workflows.metrics import Case
@@ -33,6 +37,18 @@ from workflows.studies.modes import SHAPES, TESTS
 
 MOMENTS_S = 3.0, 5.0, 10.0, 60.0
 QUARTER = 0.24  # minimum L/U, lower divided by upper bound, of a useful bound: about a quarter
+
+
+class Poses(StrEnum):
+    """What poses the problems have."""
+
+    RIGID = "rigid"
+    AXIS = "axis"
+    SCALED = "scaled"
+    PLANE = "plane"
+
+
+MODELS = {Poses.PLANE: "similarity2d", Poses.SCALED: "similarity3d"}  # otherwise rigid3d
 
 
 class Cell(NamedTuple):
@@ -78,8 +94,7 @@ def main(
     tests: Annotated[str, typer.Option(help="tests, comma-separated")] = ",".join(TESTS),
     shapes: Annotated[str, typer.Option(help="datasets, comma-separated")] = ",".join(SHAPES),
     share: Annotated[float, typer.Option(help="n_inliers over true pairs")] = 1.0,
-    plane: Annotated[bool, typer.Option(help="2D similarities of side views")] = False,
-    axis: Annotated[bool, typer.Option(help="3D poses with a known axis of rotation")] = False,
+    poses: Annotated[Poses, typer.Option(help="kind of poses")] = Poses.RIGID,
 ) -> None:
     """Solve the problems; print and store the tables."""
     dcreg.warm_up()
@@ -93,17 +108,17 @@ def main(
         "limit_s": limit,
         "threads": threads,
         "share": share,
-        "plane": plane,
-        "axis": axis,
+        "poses": poses.value,
     }
     if any({name: row.get(name) for name in settings} != settings for row in rows):
         raise typer.BadParameter(f"{path} was made with other settings; give another folder")
     done = {(row["shape"], row["test"], row["level"], row["trial"]) for row in rows}
     for cell in cells(trials, tests.split(","), shapes.split(",")):
         if tuple(cell) not in done:
-            raw = cell.instance(points, plane)
-            given = known_axis(raw, cell.trial) if axis else None
-            found = _solved(raw, limit, threads, share, given)
+            raw = cell.instance(points, poses is Poses.PLANE)
+            raw = scaled(raw, cell.trial) if poses is Poses.SCALED else raw
+            given = known_axis(raw, cell.trial) if poses is Poses.AXIS else None
+            found = _solved(raw, MODELS.get(poses, "rigid3d"), limit, threads, share, given)
             rows.append(cell._asdict() | settings | found)
             pd.DataFrame(rows).to_csv(path, index=False)
     table = summary(pd.DataFrame(rows))
@@ -148,20 +163,33 @@ def known_axis(raw: RawInstance, seed: int) -> dcreg.PoseRange:
     return dcreg.PoseRange(axis=axis, around=around)
 
 
+def scaled(raw: RawInstance, seed: int) -> RawInstance:
+    """Return the problem with its target scaled by a random factor."""
+    factor = np.random.default_rng([6, seed]).uniform(0.7, 1.4)
+    pose = np.diag([factor, factor, factor, 1.0]) @ raw.T_true
+    return replace(
+        raw,
+        target=factor * raw.target,
+        T_true=pose,
+        scale_range=DEFAULT_SCALE_RANGE["similarity3d"],
+    )
+
+
 def _solved(
     raw: RawInstance,
+    model: str,
     limit: float,
     threads: int,
     share: float,
     pose_range: dcreg.PoseRange | None = None,
 ) -> dict[str, object]:
     began = time.perf_counter()
-    is_2d, n_inliers = raw.source.shape[1] == 2, round(share * len(raw.pairs))
+    mode = "full" if raw.source.shape[1] == 3 else None
     result = dcreg.register(
-        raw.source, raw.target, model="similarity2d" if is_2d else "rigid3d", n_inliers=n_inliers,
-        scale_range=raw.scale_range if is_2d else None, time_limit=limit,
+        raw.source, raw.target, model=model, n_inliers=round(share * len(raw.pairs)),
+        scale_range=None if model == "rigid3d" else raw.scale_range, time_limit=limit,
         pose_range=pose_range,
-        options=dcreg.SolveOptions(mode=None if is_2d else "full", threads=threads, prove=True),
+        options=dcreg.SolveOptions(mode=mode, threads=threads, prove=True),
     )  # fmt: skip
     spent = time.perf_counter() - began - result.time_setup_s
     ratios = {f"ratio_{s:g}": _ratio_at(result, s) for s in MOMENTS_S if s <= limit}
