@@ -270,7 +270,7 @@ class Result(Document):
             yield (
                 "answer",
                 f"open: no pose was found that matches {text.count(self.n_inliers, 'pair')} with an RMS "
-                f"residual of at most {self.max_rms:g}, and it is not proven that there is none",
+                f"residual of at most {self.max_rms:.12g}, and it is not proven that there is none",
             )
         yield "T_target_source", text.pose(self.T_target_source)
         yield "scale", f"{self.scale:.6g}"
@@ -337,7 +337,7 @@ class Result(Document):
             rms = float(np.sqrt(self.lower_bound / self.n_inliers))
             return (
                 f"refuted: no {scope} matches {text.count(self.n_inliers, 'pair')} with an RMS residual "
-                f"of at most {self.max_rms:g}; proven: it is at least {_above(rms, self.max_rms)}"
+                f"of at most {self.max_rms:.12g}; proven: it is at least {_above(rms, self.max_rms)}"
             )
         is_certified = self.gap_closed and not self._misses_max_rms
         if status is not Status.CONVERGED:

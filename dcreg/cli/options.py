@@ -60,12 +60,13 @@ def flag(name: str) -> str:
 def with_options(message: str, options: dict[str, str]) -> str:
     """Return a message of the library, which names arguments, with the options instead.
 
-    It begins with the name of an argument. Further on, only names with an underscore differ from words.
+    It begins with the name of an argument. Further on, names are recognised by an underscore, or as what
+    to omit.
     """
     name, colon, rest = message.partition(":")
     for each, option in options.items():
-        if "_" in each:
-            rest = re.sub(rf"(?<![\w./'\"-]){each}(?![\w./='\"(])", option, rest)
+        before = r"(?<![\w./'\"-])" if "_" in each else r"(?<=\bomit )"
+        rest = re.sub(rf"{before}{each}(?![\w./='\"(])", option, rest)
     return f"{options.get(name, name)}{colon}{rest}"
 
 

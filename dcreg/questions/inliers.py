@@ -99,12 +99,14 @@ class MaxInliers(Answer):
     def answer(self) -> str:
         """The answer in a sentence."""
         if self.is_exact:
-            return f"exactly {text.count(self.at_least, 'pair')} within {self.distance:g}: proven"
+            return (
+                f"exactly {text.count(self.at_least, 'pair')} within {self.distance:.12g}: proven"
+            )
         is_lower = self.at_most < self.n_possible
         why = "proven" if is_lower else "what the points allow; no smaller number was proven"
         return (
-            f"{self.at_least} to {text.count(self.at_most, 'pair')} within {self.distance:g} (the upper "
-            f"end is {why})"
+            f"{self.at_least} to {text.count(self.at_most, 'pair')} within {self.distance:.12g} "
+            f"(the upper end is {why})"
         )
 
     def entries(self) -> Iterator[tuple[str, str]]:

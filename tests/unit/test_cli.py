@@ -13,6 +13,7 @@ import pytest
 import dcreg
 from dcreg import Result, Stage, Status, SweepResult, Trace
 from dcreg.cli import output
+from dcreg.cli.options import with_options
 from dcreg.io import READERS
 from dcreg.names import DEFAULT_REL_GAP, DEFAULT_TIME_LIMIT_S, MODEL_DIM, START_BOXES
 from tests.results import event, made_result, made_sweep, run
@@ -297,3 +298,17 @@ def test_a_tolerance_of_zero_gives_a_warning(call, fake):
     assert "--rel-gap 0: unless the fit is exact" in run(*call, "--rel-gap", "0").stderr
     assert "hardly ever" not in run(*call, "--rel-gap", "0", "--tol", "0.1").stderr
     assert "hardly ever" not in run(*call, "--abs-gap", "0").stderr
+
+
+def test_messages_of_the_library_name_options():
+    options = {
+        "axis": "--axis",
+        "n_inliers": "--n-inliers",
+        "init": "--init",
+        "max_rms": "--max-rms",
+    }
+    assert with_options("init: give n_inliers; omit init, or omit axis", options) == (
+        "--init: give --n-inliers; omit --init, or omit --axis"
+    )
+    kept = "axis: the axis of max_rms_of, 'n_inliers' and initial poses; omit axis_of"
+    assert with_options(kept, options) == kept.replace("axis:", "--axis:", 1)
