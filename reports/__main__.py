@@ -17,7 +17,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Part = Annotated[str, typer.Option(help="As in `python -m workflows run`.")]
+Part = Annotated[str, typer.Option(help="Only these, comma-separated.")]
 
 
 @app.command()
@@ -61,7 +61,7 @@ def tables(
     tables: Annotated[Path, typer.Argument(help="Folder with the tables of an experiment.")],
     out: Annotated[Path, typer.Argument(help="Folder for the CSV files.")],
 ) -> None:
-    """Write the tables of results in the report of one experiment as CSV files."""
+    """Write the result tables of a report as CSV files."""
     from reports.csv_tables import write
 
     say(f"tables    {len(write(tables, out))} files in {out}")
@@ -79,9 +79,7 @@ def claims(
     ),
     before: Annotated[
         Path | None,
-        typer.Option(
-            help="claims.csv of an earlier check; the command prints the verdicts that changed."
-        ),
+        typer.Option(help="claims.csv of an earlier check; the verdicts that changed are printed."),
     ] = None,
 ) -> None:
     """Check the claims of the paper against the available results."""
@@ -133,7 +131,8 @@ def figure(
 @user_errors
 def findings(
     archive: Annotated[
-        str, typer.Argument(help="Stored version; default: the latest with such runs.")
+        str,
+        typer.Argument(help="Stored version; default: the latest with runs of `findings`."),
     ] = "",
 ) -> None:
     """Write docs/findings.md from an archive."""
@@ -146,14 +145,16 @@ def findings(
 @app.command()
 @user_errors
 def evidence(
-    hours: Annotated[float, typer.Option(help="Time to spend.", min=0.0)] = 2.0,
+    hours: Annotated[
+        float, typer.Option(help="Hours to spend; 0: only show what open claims need.", min=0.0)
+    ] = 2.0,
     experiments: Annotated[
         str, typer.Option(help="Experiments, comma-separated.")
     ] = "paper2d-40,paper3d-40",
     cores: Annotated[int, typer.Option(help="Number of cores.", min=1)] = 2,
     directory: Annotated[Path, typer.Option(help="Folder that contains results/.")] = CHECKOUT,
 ) -> None:
-    """Spend hours on the runs that decide most claims; the same command continues."""
+    """Spend the given hours on the runs that decide most claims; the same command continues."""
     from reports.campaign.run import collect
 
     collect(hours, experiments.split(","), directory, cores, directory / "results" / "evidence")
@@ -163,13 +164,15 @@ def evidence(
 @user_errors
 def archive(
     results: Folders = None,
-    version: Annotated[str, typer.Option(help="Name; default: the version of dcreg.")] = "",
+    version: Annotated[
+        str, typer.Option(help="Name of the archive; default: the version of dcreg.")
+    ] = "",
     publish: Annotated[
         bool,
         typer.Option("--publish", help="Write a zip file to results/published instead."),
     ] = False,
 ) -> None:
-    """Write all results to reports/archive/VERSION, which ships with the repository.
+    """Write all results to reports/archive/VERSION, which is part of the repository.
 
     An archive also contains the configs and the code of your own methods and datasets.
     """
@@ -204,14 +207,15 @@ def archive(
 @user_errors
 def archived(
     archive: Annotated[
-        str, typer.Argument(help="A stored version, a folder, a zip file or its address.")
+        str,
+        typer.Argument(help="A stored version, a folder, a zip file, or the URL of a zip file."),
     ],
     out: Annotated[
         Path | None, typer.Option(help="Folder for the pages; default: results/archive/ARCHIVE.")
     ] = None,
-    sha256: Annotated[str, typer.Option(help="SHA-256 of the zip file.")] = "",
+    sha256: Annotated[str, typer.Option(help="SHA-256 of the zip file at a URL.")] = "",
 ) -> None:
-    """Build all pages from an archive, without a run."""
+    """Build all pages from an archive; nothing is run."""
     from reports.archive.pages import build
 
     name = Path(archive).name.removesuffix(".zip")
@@ -224,7 +228,7 @@ def history(
     out: Annotated[Path, typer.Option(help="Folder for the page.")] = Path("results/history"),
     records: Annotated[Path, typer.Option(help="Folder of the recorded versions.")] = HISTORY,
 ) -> None:
-    """Draw all recorded versions, with the steps between them."""
+    """Draw the results of all recorded versions, and mark what changed between them."""
     from reports.history.page import build
 
     say(f"history   {build(out, records)}")
@@ -237,7 +241,7 @@ def bounds(
         "results/bounds"
     ),
 ) -> None:
-    """Draw the study of bounds (`python -m workflows.studies.bounds`)."""
+    """Build the page of the study of bounds (`python -m workflows.studies.bounds`)."""
     from reports.bounds_study import build
 
     page = build(folder)
@@ -266,7 +270,7 @@ def threedmatch(
     tests: Part = "",
     directory: Annotated[Path, typer.Option(help="Folder that contains results/.")] = CHECKOUT,
 ) -> None:
-    """Compute and draw the recalls of an experiment on the official 3DMatch lists."""
+    """Write the recalls of an experiment on the official 3DMatch lists, and a figure of errors."""
     from reports.threedmatch import write
     from workflows.config import load, parse_selection
     from workflows.stages.plan import expand

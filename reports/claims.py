@@ -64,7 +64,7 @@ def _print(judgements: list[Judgement]) -> None:
 def _print_changes(judgements: list[Judgement], before: Path) -> None:
     """Print the claims whose verdict differs from that in an earlier ``claims.csv``."""
     if not before.is_file():
-        raise ReportError(f"{before}: no such file; give the claims.csv of an earlier ledger")
+        raise ReportError(f"{before}: no such file; give the claims.csv of an earlier check")
     earlier = pd.read_csv(before).set_index("id")["verdict"]
     table = Table("claim", "before", "now", "reason")
     for found in judgements:
@@ -77,7 +77,7 @@ def check(results: list[Path], out: Path, before: Path | None = None) -> None:
     """Judge all claims by the tables in `results`, print the verdicts and write the page to `out`.
 
     `results` are folders of results, or folders that contain such folders. With `before`, the
-    ``claims.csv`` of an earlier ledger, print what changed.
+    ``claims.csv`` of an earlier check, print the verdicts that changed.
     """
     for folder in results:
         if not folder.is_dir():

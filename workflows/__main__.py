@@ -1,7 +1,7 @@
 """Run the benchmark: ``python -m workflows``.
 
 `workflows.stages.commands` has the hidden commands, which are the stages that the rules call. Modules are
-imported inside the commands, so that no stage waits for what only others need.
+imported inside the commands, so that each command loads only what it needs.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def run(
     levels: Axis = "",
     trials: Axis = "",
     cores: Annotated[
-        str, typer.Option(help="Number of cores, or all; with --profile: of one job.")
+        str, typer.Option(help="Number of cores, or all; with --profile: cores per job.")
     ] = "all",
     profile: Annotated[
         list[str] | None,
@@ -56,12 +56,10 @@ def run(
     ] = False,
     timing: Annotated[bool, typer.Option("--timing", help="Run one solve job at a time.")] = False,
     no_report: Annotated[bool, typer.Option("--no-report", help="Stop after the tables.")] = False,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Use no runs of archives.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Reuse no archived runs.")] = False,
     beside: Annotated[
         bool,
-        typer.Option(
-            "--beside", help="Run only --methods, on the instances archived for the others."
-        ),
+        typer.Option("--beside", help="Run only --methods, on the instances of the archived runs."),
     ] = False,
 ) -> None:
     """Run an experiment, or a selected part of it, and print the summary.
@@ -190,7 +188,7 @@ def compare(
     base: Annotated[
         str,
         typer.Argument(
-            help="Recorded version, or folder of records or results; with --exact: of results."
+            help="Recorded version, or folder of records or results; with --exact: folder of results."
         ),
     ] = "",
     head: Annotated[str, typer.Argument(help="The version or folder to compare with it.")] = "",
@@ -199,7 +197,7 @@ def compare(
         typer.Option("--exact", help="Compare run by run; only times may differ."),
     ] = False,
     times: Annotated[
-        Path | None, typer.Option(help="Table of `make timings`: CPU times measured in turn.")
+        Path | None, typer.Option(help="Table of CPU times that `make timings` wrote.")
     ] = None,
     history: History = HISTORY,
     json_out: Annotated[
@@ -211,8 +209,8 @@ def compare(
 ) -> None:
     """Compare two sets of results: a verdict per metric or, with --exact, every difference.
 
-    Exit code 0: no regression (--exact: no unexplained difference); 1: there is one; 2: not comparable,
-    such as an unknown version.
+    Exit code 0: no regression (--exact: all differences are explained); 1: otherwise; 2: not
+    comparable, for example because a version is unknown.
     """
     if missing := [name for name, given in (("BASE", base), ("HEAD", head)) if not given]:
         from workflows.recording import versions
@@ -226,7 +224,7 @@ def compare(
         for name, given in (("--times", times), ("--text", text)):
             if given:
                 raise UserError(
-                    f"{name}: needs verdicts, which --exact does not give; omit one of the two"
+                    f"{name}: needs verdicts, which --exact does not compute; omit one of the two"
                 )
         from workflows.exact import differences, print_differences, read
 
@@ -254,14 +252,17 @@ def compare(
 def versions(
     methods: Axis = "",
     accept: Annotated[
-        bool, typer.Option("--accept", help="Store new versions, and code with the same results.")
+        bool,
+        typer.Option(
+            "--accept", help="Store new versions, and changed code with the same results."
+        ),
     ] = False,
     reviewed: Annotated[
         str,
         typer.Option(help="Methods to accept if they cannot be compared here, comma-separated."),
     ] = "",
 ) -> None:
-    """Check that the declared version of every method fits its code."""
+    """Check for every method whether its code has the results of its declared version."""
     from baselines import registry
     from workflows.versions import check
 
@@ -301,9 +302,9 @@ def forget(
     folder: Folder,
     status: Annotated[str, typer.Option(help="Statuses, comma-separated.")] = "failed",
 ) -> None:
-    """Delete runs with the given statuses, so that the next `run` repeats only them.
+    """Delete runs with the given statuses, so that the next `run` repeats them.
 
-    Runs of archives are not deleted; `run --fresh` does not use them.
+    Archived runs are not deleted; `run --fresh` does not reuse them.
     """
     from workflows.running import remove_made_from_runs
     from workflows.stages.solve import forget as drop
@@ -349,7 +350,7 @@ app.add_typer(commands.app)
 
 
 def _store_needs(experiment: str, methods: list[str], directory: Path) -> Path:
-    """Store the archived blocks of an experiment, with one's own methods; return the file."""
+    """Write the file of the archived blocks, extended by one's own methods; return its path."""
     from workflows.beside import needs_beside
     from workflows.blocks import EVIDENCE, NEEDS, Needs
     from workflows.config import with_methods

@@ -1,4 +1,4 @@
-"""Show archived methods beside one's own: which blocks the archives hold, and nothing else."""
+"""Find the archived blocks of an experiment, on which ``--beside`` runs one's own methods."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from workflows.stages.plan import Plan
 def needs_beside(plan: Plan, methods: Sequence[str], known: Needs) -> Needs:
     """Return the archived blocks of an experiment, and the same blocks for one's own methods.
 
-    Only blocks whose runs have the present version of their method count, so no archived method is run.
+    A block counts if all its runs are of the current version of their method, so no archived method runs.
 
     Parameters
     ----------
@@ -25,12 +25,12 @@ def needs_beside(plan: Plan, methods: Sequence[str], known: Needs) -> Needs:
     methods : sequence of str
         One's own.
     known : Needs
-        Blocks that are needed anyway, for instance because they were run here.
+        Blocks of earlier calls, which remain needed.
 
     Raises
     ------
     UserError
-        An own method is not in the experiment, or the archives hold no block of it.
+        One of `methods` is not in the experiment, or the archives have no block of the experiment.
     """
     names = [method.name for method in plan.methods]
     for name in methods:
@@ -45,8 +45,8 @@ def needs_beside(plan: Plan, methods: Sequence[str], known: Needs) -> Needs:
         own[method] = max(own.get(method, 0), count)
     if not trials:
         raise UserError(
-            f"--beside: the archives hold no block of experiment {plan.experiment.name} with the present "
-            "versions of its methods; run it without --beside"
+            f"--beside: no archive has a complete block of experiment {plan.experiment.name} with the "
+            "current versions of its methods; run it without --beside"
         )
     needs = Needs(trials)
     return Needs({
@@ -55,7 +55,7 @@ def needs_beside(plan: Plan, methods: Sequence[str], known: Needs) -> Needs:
 
 
 def _archived_blocks(plan: Plan, methods: Sequence[str]) -> dict[tuple[str, str], int]:
-    """Return per test and method of others the number of first trials that are archived completely."""
+    """Return how many first trials of a test are archived completely, by test and other method."""
     stored = {
         method.name: {
             run_id

@@ -1,9 +1,9 @@
 """Compare the tables of two executions of an experiment run by run and digit by digit, times aside.
 
 Each run that differs gets one reason (`REASONS`): the code of its method changed; it hit the time or
-memory limit; its method is not deterministic, as its card states; or only its comparison with other
-runs on its instance differs, and one of those runs differs. A run without any of these reasons shows a
-fault of the method or of the harness.
+memory limit; its method is not deterministic, as its card states; the two runs are from different
+machines; or only its comparison with other runs on its instance differs, and one of those runs differs.
+A run without any of these reasons shows a fault of the method or of the harness.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Join results of several machines: ``python -m workflows merge A B … --out DIR``.
 
 A source is an archive, the results of an experiment (``results/NAME``), or a folder that contains either.
-The merged folder holds the runs only, one journal per method. ``python -m workflows run`` makes
-instances, tables and report again from them, and repeats no run.
+The merged folder contains only the runs, one journal per method. ``python -m workflows run`` makes
+instances, tables and report from them, and repeats no run.
 """
 
 from __future__ import annotations
@@ -102,17 +102,17 @@ class Merged:
 
     experiment: str
     runs: int = 0
-    duplicates: int = 0  # copies of runs that another source has too
-    replaced: int = 0  # of these, failed or limited ones of which another source has a finished run
-    other_work: int = 0  # of these, with another number of boxes or assignments
+    duplicates: int = 0  # copies that were dropped, as another source has the run too
+    replaced: int = 0  # of these, failed or limited ones in favour of a better copy
+    other_work: int = 0  # of these, with another number of boxes or assignments than the kept copy
     machines: set[str] = field(default_factory=set)
 
 
 def merge(sources: Sequence[Path], out: Path, *, mixed_machines: bool = False) -> list[Merged]:
     """Write the runs of all sources to the folder `out`, a folder per experiment.
 
-    Of runs that several sources have, one on the machine with the most runs counts, then one that ended
-    by itself or at a limit of work, then one at another limit, then the first.
+    One copy of each run is kept. Copies from the machine with the most runs come first, then those that
+    ended by themselves or at a limit on work, then those at another limit, then those of earlier sources.
 
     Parameters
     ----------
@@ -120,13 +120,14 @@ def merge(sources: Sequence[Path], out: Path, *, mixed_machines: bool = False) -
     out : Path
         Must not have results of the same experiments.
     mixed_machines : bool
-        Whether runs of an experiment may come from several machines. Reports then use the times of one.
+        Whether runs of an experiment may come from several machines. Reports then use the times of the
+        machine with the most runs.
 
     Raises
     ------
     MergeError, ArchiveError
-        A source has no results or is damaged; instances or results contradict each other; machines differ
-        without `mixed_machines`. Nothing is written then.
+        A source has no results or is damaged, instances or results contradict each other, or machines
+        differ without `mixed_machines`. Nothing is written in these cases.
     """
     by_experiment: dict[str, list[Source]] = defaultdict(list)
     for place in sources:
@@ -265,7 +266,7 @@ def _merge_experiment(
 def _note_instances(
     method: str, runs: Iterable[Found], seen: dict[Any, dict[str, _Seen]], *, is_shared: bool
 ) -> None:
-    """Note the digests of what methods received, by all that may change it."""
+    """Add the digest of each instance to `seen`, by everything that may change the instance."""
     for row, place in runs:
         what = [row[name] for name in ("instance_id", "n_source", "n_target", "n_inliers", "seed")]
         digest = row["instance_digest"]
@@ -274,7 +275,7 @@ def _note_instances(
 
 
 def _shares_instances(baseline: str, options: str) -> bool:
-    """Tell whether a method receives the same as others, and not true pairs among random ones."""
+    """Tell whether a method receives the same instances as others, which the oracle does not."""
     from baselines import registry
 
     if baseline not in registry.names():
@@ -289,7 +290,7 @@ def _is_deterministic(baseline: str) -> bool:
 
 
 def _check_instances(sources: Sequence[dict[Any, dict[str, _Seen]]]) -> None:
-    """Refuse an instance that two sources have, with no digest in common."""
+    """Refuse an instance of which two sources have no digest in common."""
     for at, seen in enumerate(sources):
         for what, noted in seen.items():
             for other in sources[:at]:
@@ -298,14 +299,14 @@ def _check_instances(sources: Sequence[dict[Any, dict[str, _Seen]]]) -> None:
                     raise MergeError(
                         f"{first.place} and {second.place}: instance {what[0]} has instance_digest "
                         f"{first.digest!r} (run {first.run_id}) and {second.digest!r} (run "
-                        f"{second.run_id}), because its data or code, or the rule of the digest, "
-                        "differs; leave one source out, or run its part again with the data and code "
-                        "of the other"
+                        f"{second.run_id}): the sources differ in its data, in code, or in the rule of "
+                        "the digest; leave one source out, or run its part again with the data and "
+                        "code of the other"
                     )
 
 
 def _main_machine(sources: Sequence[Source]) -> str:
-    """Return the ``machine_id`` of most runs."""
+    """Return the ``machine_id`` with the most runs."""
     counts = Counter(
         found.row["machine_id"]
         for source in sources
@@ -318,8 +319,8 @@ def _main_machine(sources: Sequence[Source]) -> str:
 def _one_of(method: str, first: Found, second: Found, *, main: str, is_exact: bool) -> Found:
     """Return the run to keep of two with equal version, options, instance and limits.
 
-    A better run from another machine must not replace one on the `main` machine, whose times are used:
-    its slow runs would disappear.
+    A run on the `main` machine is kept even if that of another machine ended better. Otherwise the slow
+    runs would be missing in the times, which are those of the main machine.
     """
     ranks = [_rank(found.row["status"]) for found in (first, second)]
     if is_exact and ranks == [0, 0]:
@@ -341,8 +342,8 @@ def _one_of(method: str, first: Found, second: Found, *, main: str, is_exact: bo
 def _contradiction(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, Any, Any] | None:
     """Return name and values of what contradicts in two results; None if nothing does.
 
-    After the same work all values must be equal. Work may differ although both searches ended by
-    themselves, because elapsed time ends attempts to confine them; then the bounds must not cross.
+    After the same work all values must be equal. Two searches that ended by themselves may differ in
+    their work, because elapsed time ends some of their stages. Then their bounds must not cross.
     """
     differing = [name for name, value in one.items() if value != other.get(name)]
     if not any(name in COUNTERS for name in differing):
@@ -367,7 +368,7 @@ def _rank(status: str) -> int:
 
 
 def _result(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a repetition must have too, with the names of the columns."""
+    """Return the values that a repetition must reproduce, by column."""
     from workflows.versions import comparable
 
     pose = row["T_target_source"]
@@ -413,14 +414,14 @@ def command(
 ) -> None:
     """Join results of several machines. If OUT is DIR/results, `run --directory DIR` continues from them.
 
-    Different instances under one name, conflicting results, and (without --mixed-machines) several
+    Different instances with the same name, contradictory results, and (without --mixed-machines) several
     machines are refused. With --mixed-machines, reports use only the times of the machine with the most
     runs.
     """
     for found in merge(sources, out, mixed_machines=mixed_machines):
         print(
             f"merged    {out / found.experiment}: {found.runs} runs; dropped {found.duplicates} "
-            f"duplicates, of them {found.replaced} failed or limited and {found.other_work} with other "
-            f"counts of boxes or assignments; machine_id: "
+            f"duplicates ({found.replaced} failed or limited, {found.other_work} with other counts of "
+            f"boxes or assignments); machine_id: "
             f"{', '.join(sorted(found.machines))}"
         )

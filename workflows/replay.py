@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SAME, DIFFERENT = "same", "different"
-ROUNDING = "the stored run is from another machine, and other rounding can change its counters"
+ROUNDING = "the stored run is from another machine, whose rounding can change its counters"
 
 
 class Stored(NamedTuple):
@@ -48,8 +48,8 @@ def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -
     Returns
     -------
     dict
-        The result, and under ``stored`` whether the stored result is the same, or why the two are not
-        compared.
+        The result. The entry ``stored`` says whether the stored result is the same, or why the two are
+        not compared.
 
     Raises
     ------
@@ -78,8 +78,8 @@ class Repetition:
         if stored is None and not experiment:
             raise UserError(
                 f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
-                "tables/runs.csv, name the folder of its results (RESULTS=…), or its experiment with "
-                "--experiment"
+                "tables/runs.csv, or give the folder of its results (--results, in make RESULTS=…) or "
+                "its experiment (--experiment)"
             )
         plan = _plan(experiment, stored)
         run = next((run for run in plan.runs() if run.run_id == run_id), None)
@@ -145,7 +145,7 @@ def _compared(repetition: Repetition, solution: Solution) -> dict[str, Any]:
 
 
 def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: PlannedRun) -> str:
-    """Say whether a result equals the stored one, or why they are not compared."""
+    """Return whether a result equals the stored one, or why they are not compared."""
     if stored is None:
         return "not compared: no stored run"
     for name, what in (("instance_digest", "instance"), ("fingerprint", "version of the method")):
@@ -167,7 +167,7 @@ def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: Plann
 
 
 def _stored(run_id: str, results: Path) -> Stored | None:
-    """Return the latest archived run, else one of the results; missing numbers are left out."""
+    """Return the run of the latest archive that has it, else of `results`, without missing numbers."""
     for folder in reversed(archives.folders()):
         archives.check(folder)
         if row := _row(folder / archives.RUNS, run_id):

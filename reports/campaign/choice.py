@@ -31,11 +31,11 @@ class Option:
     ----------
     claim : str
     needs : Needs
-        After its next step, which has one block or several short ones.
+        The blocks after its next step, which has one block or several short ones.
     step, block : Forecast
         Of the next step and of the next block.
     blocks : int
-        Expected to be needed.
+        Number of further blocks that are expected to decide the claim.
     obstacle : str
         Why more blocks do not help.
     """
@@ -91,7 +91,7 @@ def _option(
     if at_once > 1 and not obstacle:
         step = ahead(at_once)
     if not tests:
-        obstacle = "no method of the experiment has its roles"
+        obstacle = "the experiment has none of the methods that the claim compares"
     elif count > trials:
         obstacle = f"all {trials} trials are run"
     return Option(claim.id, *step, block, blocks, obstacle)

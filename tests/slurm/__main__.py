@@ -101,7 +101,7 @@ def lose_the_node(running: Cluster, folder: Path) -> None:
     say("Slurm reported the node as down")
     sweep.send_signal(signal.SIGINT)
     finish(sweep, code=INTERRUPTED)
-    say("interrupted the sweep")
+    say("interrupted the run")
     running.start_node()
     say(f"restarted slurmd; jobs left: {running.jobs() or 'none'}")
 
@@ -120,12 +120,12 @@ def main() -> None:
         (root / f"{NAME}.yaml").write_text(CONFIG, encoding="utf-8")
         local, remote = root / "local", root / "remote"
         finish(start(local, "--cores", "2"))
-        say("finished the local sweep")
+        say("finished the local run")
         with cluster() as running:
             say("started the cluster")
             lose_the_node(running, remote)
             finish(start(remote, *PROFILES))
-            say("finished the sweep on the cluster by the same command")
+            say("finished the run on the cluster by the same command")
         expected, found = (read(folder / "results" / NAME) for folder in (local, remote))
         differing = differences(expected, found)
         times_made = Counter(journal(remote))
