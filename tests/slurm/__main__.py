@@ -39,7 +39,7 @@ methods:
 """
 RUNS = 204
 PROFILES = ("--profile", "slurm", "--profile", "tests/slurm")
-LIMIT_S = 300.0  # of one sweep
+LIMIT_S = 300.0  # of one call
 
 _began = time.monotonic()
 
@@ -67,7 +67,7 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 def finish(process: subprocess.Popen[str], code: int = 0) -> None:
-    """Wait for a sweep and check its exit code; a sweep that hangs is killed."""
+    """Wait for a call and check its exit code; one that hangs is killed."""
     try:
         output, _ = process.communicate(timeout=LIMIT_S)
     except subprocess.TimeoutExpired:
@@ -81,13 +81,13 @@ def finish(process: subprocess.Popen[str], code: int = 0) -> None:
 
 
 def lose_the_node(running: Cluster, folder: Path) -> None:
-    """Sweep until a third of the runs is finished, then lose the node and interrupt the sweep."""
-    sweep = start(folder, *PROFILES)
+    """Run until a third of the runs is finished, then lose the node and interrupt the call."""
+    process = start(folder, *PROFILES)
     deadline = time.monotonic() + LIMIT_S
     while len(journal(folder)) < RUNS // 3:
-        if sweep.poll() is not None or time.monotonic() > deadline:
-            sweep.send_signal(signal.SIGINT)
-            output, _ = sweep.communicate()
+        if process.poll() is not None or time.monotonic() > deadline:
+            process.send_signal(signal.SIGINT)
+            output, _ = process.communicate()
             raise RuntimeError(
                 f"{len(journal(folder))} runs before the loss of the node:\n{output}"
             )
@@ -99,8 +99,8 @@ def lose_the_node(running: Cluster, folder: Path) -> None:
     assert kept < RUNS
     running.wait_until_down()
     say("Slurm reported the node as down")
-    sweep.send_signal(signal.SIGINT)
-    finish(sweep, code=INTERRUPTED)
+    process.send_signal(signal.SIGINT)
+    finish(process, code=INTERRUPTED)
     say("interrupted the run")
     running.start_node()
     say(f"restarted slurmd; jobs left: {running.jobs() or 'none'}")
