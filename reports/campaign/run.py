@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import csv
 import functools
-import os
-import signal
-import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -259,20 +255,20 @@ def _run(
     """Run the needed blocks of an experiment, or a pilot; return whether they ended before `end`."""
     title = f"{claim}, pilot" if part else claim
     console.print(f"block     {campaign.name}, {title}: {expected}", soft_wrap=True)
+    if time.monotonic() >= end:
+        return _stopped(INTERRUPTED, end, console)
     before, began = set(campaign.ended()["run_id"]), time.monotonic()
     plan = expand(campaign.experiment, part, origin(campaign.name)) if part else campaign.plan()
-    with _interrupted_at(end):
-        code = run_snakemake(
-            campaign.directory,
-            campaign.experiment.name,
-            [*_targets(campaign, plan), "--cores", str(cores), "--resources", "fetching=1",
-             "--config", f"experiment={campaign.name}", *_settings(campaign, part)],
-            view_of=lambda: View(plan, campaign.folder.parent, cores, console),
-        )  # fmt: skip
+    code = run_snakemake(
+        campaign.directory,
+        campaign.experiment.name,
+        [*_targets(campaign, plan), "--cores", str(cores), "--resources", "fetching=1",
+         "--config", f"experiment={campaign.name}", *_settings(campaign, part)],
+        view_of=lambda: View(plan, campaign.folder.parent, cores, console),
+        end=end,
+    )  # fmt: skip
     if code or not (part or campaign.tables()):
-        what = "the time is over" if code == INTERRUPTED else "some stages failed; see above"
-        console.print(f"stopped   {what}; the same command continues from here")
-        return False
+        return _stopped(code, end, console)
     ended = campaign.ended()
     new = ended[~ended["run_id"].isin(before)]
     actual = float(new[["time_solve_s", "time_overhead_s"]].sum().sum())
@@ -289,6 +285,15 @@ def _run(
     return True
 
 
+def _stopped(code: int, end: float, console: Console) -> bool:
+    """Print why nothing more is begun."""
+    what = "some stages failed; see above"
+    if code == INTERRUPTED:
+        what = "the time is over" if time.monotonic() >= end else "interrupted"
+    console.print(f"stopped   {what}; the same command continues from here")
+    return False
+
+
 def _targets(campaign: Campaign, plan: Plan) -> list[str]:
     """Return what Snakemake makes: the tables of all blocks, or just the runs of a pilot."""
     if plan.needs is not None:
@@ -302,20 +307,6 @@ def _settings(campaign: Campaign, part: Selection | None) -> list[str]:
         return [f"needs={campaign.needs_path.resolve()}"]
     axes = (f"{axis}={','.join(map(str, values))}" for axis, values in part if values)
     return [f"select={' '.join(axes)}"]
-
-
-@contextmanager
-def _interrupted_at(end: float) -> Iterator[None]:
-    """Send this process SIGTERM at `end`, at which Snakemake and its jobs end in order."""
-    timer = threading.Timer(
-        max(0.0, end - time.monotonic()), os.kill, (os.getpid(), signal.SIGTERM)
-    )
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def _append(path: Path, row: dict[str, object]) -> None:

@@ -276,7 +276,7 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
     monkeypatch.setenv("DCREG_ARCHIVES", "")  # whose many runs would be read
     views = []
 
-    def snakemake(directory, name, arguments, view_of):
+    def snakemake(directory, name, arguments, view_of, end):
         views.append(view_of())
         return 1
 
@@ -292,6 +292,14 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
     count = len(list(campaign.plan().runs()))
     assert views[0].summary([]).startswith(f"0 of {count} runs ended")
     assert views[0].console is console
+
+
+def test_nothing_is_begun_once_the_time_is_over(tmp_path, monkeypatch):
+    monkeypatch.setenv("DCREG_ARCHIVES", "")
+    monkeypatch.setattr(run, "run_snakemake", lambda *_, **__: pytest.fail("begun"))
+    monkeypatch.setattr(run, "_ahead", lambda *_: [])
+    NONE.with_block("noise", ["rpm_pa"]).write(Campaign(NAME, tmp_path).needs_path)
+    assert run.collect(0.0, [NAME], tmp_path, 1, tmp_path / "out") == []
 
 
 def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monkeypatch):
