@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from reports.ledger.intervals import MIN_INSTANCES, MOST_NEEDED, NOT_RUN, OPEN
 from reports.ledger.judging import Judgement
 from reports.ledger.verdicts import FEW, WIDE
 from workflows.blocks import Needs
-from workflows.stages.plan import Plan, expand
+from workflows.stages.plan import Plan, PlannedRun, expand
 
 # A step has several blocks if they are expected to take less time: planning, judging and the tables take
 # about a minute per step.
@@ -33,7 +33,7 @@ class Option:
     needs : Needs
         After its next step, which has one block or several short ones.
     step, block : Forecast
-        Of the next step and of the next block.
+        Of the runs of the next step without a result, and of all runs of the next block.
     blocks : int
         Expected to be needed.
     obstacle : str
@@ -54,15 +54,21 @@ class Option:
 
 
 def options(
-    book: Ledger, judged: Sequence[Judgement], plan: Plan, times: Times, trials: int
+    book: Ledger,
+    judged: Sequence[Judgement],
+    plan: Plan,
+    times: Times,
+    trials: int,
+    done: Set[str] = frozenset(),
 ) -> list[Option]:
     """Return the open claims about an experiment, the one expected to be decided first at the front.
 
-    `plan` has the needs so far; `trials` is the number of trials of the experiment's config.
+    `plan` has the needs so far; `trials` is the number of trials of the experiment's config. Runs in
+    `done` take no more time, such as those of a pilot.
     """
     claims = {claim.id: claim for claim in book.claims}
     found = [
-        _option(book, claims[each.id], each, plan, times, trials)
+        _option(book, claims[each.id], each, plan, times, trials, done)
         for each in judged
         if each.verdict in (OPEN, NOT_RUN)
     ]
@@ -70,31 +76,39 @@ def options(
 
 
 def _option(
-    book: Ledger, claim: Claim, found: Judgement, plan: Plan, times: Times, trials: int
+    book: Ledger,
+    claim: Claim,
+    found: Judgement,
+    plan: Plan,
+    times: Times,
+    trials: int,
+    done: Set[str],
 ) -> Option:
     assert plan.needs is not None
     tests = _methods_of_tests(book, claim, plan)
-    done = {run.run_id for run in plan.runs()}
+    earlier = {run.run_id for run in plan.runs()}
 
-    def ahead(blocks: int) -> tuple[Needs, Forecast]:
+    def ahead(blocks: int) -> tuple[Needs, list[PlannedRun]]:
         needs = plan.needs or Needs({})
         for test, methods in tests.items():
             for _ in range(blocks):
                 needs = needs.with_block(test, methods)
         runs = expand(plan.experiment, plan.selection, plan.config, needs).runs()
-        return needs, times.of_runs(run for run in runs if run.run_id not in done)
+        return needs, [run for run in runs if run.run_id not in earlier]
 
-    needs, block = step = ahead(1)
+    needs, runs = ahead(1)
+    block = times.of_runs(runs)
     count = max((needs.blocks(test) for test in tests), default=0)
     blocks, obstacle = _blocks(found, max(1, count - 1))
     at_once = min(blocks, trials - count + 1, int(STEP_S // max(block.seconds, 1.0)))
     if at_once > 1 and not obstacle:
-        step = ahead(at_once)
+        needs, runs = ahead(at_once)
+    step = times.of_runs(run for run in runs if run.run_id not in done)
     if not tests:
         obstacle = "no method of the experiment has its roles"
     elif count > trials:
         obstacle = f"all {trials} trials are run"
-    return Option(claim.id, *step, block, blocks, obstacle)
+    return Option(claim.id, needs, step, block, blocks, obstacle)
 
 
 def _blocks(found: Judgement, done: int) -> tuple[int, str]:

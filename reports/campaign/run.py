@@ -140,20 +140,39 @@ class Campaign:
                     rows.append((row["run_id"], method.name, spec.test, spec.level, *seconds))
         return pd.DataFrame(rows, columns=["run_id", *TIMED])
 
-    def forecast(self, part: Selection) -> Forecast:
-        """Return the forecast of a part of the experiment that has not been run."""
-        return self.times().of_runs(expand(self.experiment, part).runs())
+    @cached_property
+    def archived(self) -> set[str]:
+        """The run_ids of archived runs of the present versions of the methods."""
+        return {
+            run_id
+            for method in self.experiment.methods
+            for run_id, _, version in archived(method.name)
+            if version == registry.fingerprint(method.baseline)
+        }
 
-    def unfinished(self) -> Forecast:
-        """Return the forecast of the needed runs without a result, here or in an archive."""
-        tables = self.tables()
-        done = set(self.ended()["run_id"])
-        if tables is not None:
-            done |= set(tables.runs["run_id"])
-        for method in self.experiment.methods:
-            version = registry.fingerprint(method.baseline)
-            done |= {run_id for run_id, _, known in archived(method.name) if known == version}
-        return self.times().of_runs(run for run in self.plan().runs() if run.run_id not in done)
+    def shown(self) -> set[str]:
+        """Return the run_ids of the results in the tables, of the present versions of the methods."""
+        if (tables := self.tables()) is None:
+            return set()
+        versions = {
+            method.name: registry.fingerprint(method.baseline) for method in self.experiment.methods
+        }
+        runs = tables.runs[tables.runs["outcome"] != NOT_NEEDED]
+        return set(runs.loc[runs["fingerprint"] == runs["method"].map(versions), "run_id"])
+
+    def done(self) -> set[str]:
+        """Return the run_ids of all results, also of an interrupted block or a pilot."""
+        return self.shown() | set(self.ended()["run_id"]) | self.archived
+
+    def is_behind(self) -> bool:
+        """Tell whether the tables lack needed runs, which may have ended."""
+        shown = self.shown()
+        return any(run.run_id not in shown for run in self.plan().runs())
+
+    def forecast(self, plan: Plan) -> Forecast:
+        """Return the forecast of the needed runs of a plan without a result, here or in an archive."""
+        done = self.done()
+        return self.times().of_runs(run for run in plan.runs() if run.run_id not in done)
 
 
 def collect(
@@ -185,7 +204,10 @@ def collect(
         if pairs := [pair for pair in pairs if pair not in tried]:
             tried.update(pairs)
             parts = pilots(pairs, campaign.experiment)
-            may_go_on = all(run(option.claim, campaign.forecast(part), part) for part in parts)
+            may_go_on = all(
+                run(option.claim, campaign.forecast(expand(campaign.experiment, part)), part)
+                for part in parts
+            )
         else:
             option.needs.write(campaign.needs_path)
             may_go_on = run(option.claim, option.step)
@@ -220,24 +242,21 @@ def _finish_blocks(
     """Finish the blocks of earlier calls; return whether all of them ended before `end`."""
     for campaign in campaigns:
         campaign.adopt()
-        rest = campaign.unfinished()
-        is_begun = campaign.needs_path.is_file() and campaign.tables() is None
-        if (rest.runs or is_begun) and not _run(
-            campaign, "continue", rest, end=end, cores=cores, out=out, console=console
-        ):
+        if not campaign.is_behind():
+            continue
+        rest = campaign.forecast(campaign.plan())
+        if not _run(campaign, "continue", rest, end=end, cores=cores, out=out, console=console):
             return False
     return True
 
 
 def _ahead(book: Ledger, campaigns: dict[str, Campaign]) -> list[tuple[str, Option]]:
     """Return the open claims of all experiments, the one expected to be decided first at the front."""
-    found = [
-        (name, option)
-        for name, campaign in campaigns.items()
-        for option in options(
-            book, campaign.judged(book), campaign.plan(), campaign.times(), campaign.trials
-        )
-    ]
+    found = []
+    for name, campaign in campaigns.items():
+        judged, plan, times = campaign.judged(book), campaign.plan(), campaign.times()
+        of_claims = options(book, judged, plan, times, campaign.trials, campaign.done())
+        found += [(name, option) for option in of_claims]
     return sorted(found, key=lambda each: (bool(each[1].obstacle), each[1].seconds, each[1].claim))
 
 

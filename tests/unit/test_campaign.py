@@ -47,12 +47,12 @@ def times(*cells: tuple[str, str, float, float]) -> Times:
     return Times.of([runs], EXPERIMENT)
 
 
-def ahead(known: Times, needs: Needs = NONE, claim: str | None = None):
+def ahead(known: Times, needs: Needs = NONE, claim: str | None = None, done=frozenset()):
     """The options of all claims, or of one."""
     judged = judge(ledger(), Evidence({}, {}), {plain_name(NAME)})
     judged = [each for each in judged if claim in (None, each.id)]
     plan = expand(EXPERIMENT, None, NAME, needs)
-    return options(ledger(), judged, plan, known, 100)
+    return options(ledger(), judged, plan, known, 100, done)
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +193,28 @@ def test_runs_of_an_interrupted_block_are_measured_and_done(tmp_path, monkeypatc
     assert campaign.ended()["run_id"].tolist() == [planned[0].run_id]
     spec = planned[0].instance
     assert campaign.times().of_cell("rpm_pa", spec.test, spec.level) == (4.0, True)
-    assert campaign.unfinished().runs == len(planned) - 1
+    assert campaign.forecast(campaign.plan()).runs == len(planned) - 1
+
+
+def test_ended_runs_are_not_shown_before_their_tables_are_made(tmp_path, monkeypatch):
+    """As after an interruption between the last run of a block and its tables."""
+    monkeypatch.setenv("DCREG_ARCHIVES", "")
+    campaign = Campaign(NAME, tmp_path)
+    assert not campaign.is_behind()
+    NONE.with_block("noise", ["rpm_pa"]).write(campaign.needs_path)
+    runs = pd.DataFrame({"run_id": [each.run_id for each in campaign.plan().runs()]}).assign(
+        method="rpm_pa", outcome="finished", fingerprint=registry.fingerprint("rpm_pa"),
+        test="noise", level=0.0, time_solve_s=1.0, time_overhead_s=0.0,
+    )  # fmt: skip
+    monkeypatch.setattr(Campaign, "ended", lambda self: runs)
+    assert campaign.is_behind()
+    assert not campaign.forecast(campaign.plan()).runs
+    for columns, is_behind in [
+        ({}, False), ({"outcome": "not_needed"}, True), ({"fingerprint": "rpm_pa 0"}, True),
+    ]:  # fmt: skip
+        tables = Tables(tmp_path, runs.assign(**columns), pd.DataFrame(), {}, [])
+        monkeypatch.setattr(Campaign, "tables", lambda self, tables=tables: tables)
+        assert campaign.is_behind() == is_behind
 
 
 def test_every_claim_about_the_experiment_has_a_next_block(unseen):
@@ -222,6 +243,16 @@ def test_finished_blocks_are_not_paid_again(unseen):
     assert again.block.runs == first.block.runs  # one more trial, without the one before
     for test, own in first.needs.trials.items():
         assert again.needs.trials[test] == {name: number + 1 for name, number in own.items()}
+
+
+def test_the_runs_of_a_pilot_are_not_forecast_again(unseen):
+    first = unseen[0]
+    plan = expand(EXPERIMENT, None, NAME, first.needs)
+    done = {run.run_id for run in plan.runs() if run.instance.level == 0.0}
+    (again,) = ahead(times(), claim=first.claim, done=done)
+    assert again.needs == first.needs
+    assert again.block == first.block
+    assert again.step.runs == first.step.runs - len(done)
 
 
 def test_a_claim_whose_trials_are_all_run_has_an_obstacle(unseen):
@@ -310,7 +341,7 @@ def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monke
         return False
 
     monkeypatch.setattr(run, "_run", interrupted)
-    monkeypatch.setattr(Campaign, "unfinished", lambda self: Forecast(1, 2.0, 0))
+    monkeypatch.setattr(Campaign, "is_behind", lambda self: True)
     names = [NAME, "paper3d-40"]
     monkeypatch.setattr(run, "_ahead", lambda *_: [])
     run.collect(1.0, names, tmp_path, 1, tmp_path / "out")
