@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,9 +16,9 @@ from rich.table import Table
 
 from baselines import registry
 from reports.campaign.choice import Option, options
-from reports.campaign.forecast import TIMED, Forecast, Times, bytes_per_run
+from reports.campaign.forecast import TIMED, Forecast, Pair, Times, bytes_per_run
 from reports.campaign.growth import changes, verdicts
-from reports.campaign.pilot import Pair, pilots, unmeasured
+from reports.campaign.pilot import PILOTS, pilots, store, stored, unmeasured
 from reports.ledger.book import Ledger, ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.judging import Judgement, judge
@@ -62,6 +62,10 @@ class Campaign:
     @property
     def needs_path(self) -> Path:
         return self.folder / NEEDS
+
+    @property
+    def pilots_path(self) -> Path:
+        return self.folder / PILOTS
 
     @property
     def trials(self) -> int:
@@ -194,23 +198,21 @@ def collect(
     book, console = ledger(), Console()
     campaigns = {name: Campaign(name, directory) for name in names}
     end = time.monotonic() + 3600.0 * hours
-    may_go_on = _finish_blocks(campaigns.values(), end, cores, out, console)
+    run = functools.partial(_run, end=end, cores=cores, out=out, console=console)
+    may_go_on = _finish_blocks(campaigns.values(), run)
     ahead = _ahead(book, campaigns)
-    tried: set[Pair] = set()  # by a pilot; a method that fails remains unmeasured
+    # by a pilot; a method that fails remains unmeasured
+    tried: dict[str, set[Pair]] = {name: set() for name in names}
     while may_go_on and (chosen := _next(ahead, (end - time.monotonic()) * cores)):
-        campaign, option = campaigns[chosen[0]], chosen[1]
-        run = functools.partial(_run, campaign, end=end, cores=cores, out=out, console=console)
-        pairs = unmeasured(option, campaign.times(), campaign.experiment)
-        if pairs := [pair for pair in pairs if pair not in tried]:
-            tried.update(pairs)
-            parts = pilots(pairs, campaign.experiment)
-            may_go_on = all(
-                run(option.claim, campaign.forecast(expand(campaign.experiment, part)), part)
-                for part in parts
-            )
+        name, option = chosen
+        campaign = campaigns[name]
+        if pairs := [pair for pair in unmeasured(option.step) if pair not in tried[name]]:
+            tried[name].update(pairs)
+            store(list(pilots(pairs, campaign.experiment)), campaign.pilots_path)
+            may_go_on = _run_pilots(campaign, option.claim, run)
         else:
             option.needs.write(campaign.needs_path)
-            may_go_on = run(option.claim, option.step)
+            may_go_on = run(campaign, option.claim, option.step)
         ahead = _ahead(book, campaigns)
     for name, campaign in campaigns.items():
         out.mkdir(parents=True, exist_ok=True)
@@ -236,17 +238,26 @@ def _next(ahead: Sequence[tuple[str, Option]], left_s: float) -> tuple[str, Opti
     return next(iter(fitting), min(helping, key=lambda each: each[1].step.seconds, default=None))
 
 
-def _finish_blocks(
-    campaigns: Iterable[Campaign], end: float, cores: int, out: Path, console: Console
-) -> bool:
-    """Finish the blocks of earlier calls; return whether all of them ended before `end`."""
+def _finish_blocks(campaigns: Iterable[Campaign], run: Callable[..., bool]) -> bool:
+    """Finish pilots and blocks of earlier calls; return whether all of them ended in time."""
     for campaign in campaigns:
         campaign.adopt()
-        if not campaign.is_behind():
-            continue
-        rest = campaign.forecast(campaign.plan())
-        if not _run(campaign, "continue", rest, end=end, cores=cores, out=out, console=console):
+        if not _run_pilots(campaign, "continue", run):
             return False
+        if campaign.is_behind() and not run(
+            campaign, "continue", campaign.forecast(campaign.plan())
+        ):
+            return False
+    return True
+
+
+def _run_pilots(campaign: Campaign, claim: str, run: Callable[..., bool]) -> bool:
+    """Run the stored pilots; return whether they ended in time."""
+    for part in stored(campaign.pilots_path):
+        rest = campaign.forecast(expand(campaign.experiment, part))
+        if rest.runs and not run(campaign, claim, rest, part):
+            return False
+    campaign.pilots_path.unlink(missing_ok=True)
     return True
 
 

@@ -13,11 +13,10 @@ import pytest
 from rich.console import Console
 
 from baselines import registry
-from reports.campaign import choice, forecast, growth, pilot, run
+from reports.campaign import choice, forecast, growth, run
 from reports.campaign.choice import Option, options
 from reports.campaign.forecast import Forecast, Times, bytes_per_run
 from reports.campaign.growth import changes
-from reports.campaign.pilot import pilots, unmeasured
 from reports.campaign.run import Campaign
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
@@ -116,36 +115,15 @@ def test_methods_that_are_not_installed_take_no_time(monkeypatch):
     plan = expand(EXPERIMENT, None, NAME, NONE.with_block("noise", ["rpm_pa", "rpm_cav"]))
     found, limit = times().of_runs(plan.runs()), times().limits["rpm_cav"]
     assert found.runs == 2 * found.unseen
-    assert found.seconds == found.unseen_seconds == found.unseen * limit
+    assert found.seconds == found.unseen * limit
+    assert found.unmeasured == {("rpm_cav", "noise"): found.seconds}
 
 
 @pytest.fixture
 def costly():
-    """The option of a claim about a method whose runs in one of two tests are measured."""
-    needs = NONE.with_block("noise", ["rpm_pa"]).with_block("deformation", ["rpm_pa"])
-    step = Forecast(24, 5000.0, 12, 2400.0)
-    return Option("claim", needs, step, step, 1)
-
-
-def test_a_pilot_runs_two_levels_of_unmeasured_tests(costly):
-    known = times(("rpm_pa", "noise", 0.02, 4.0))
-    pairs = unmeasured(costly, known, EXPERIMENT)
-    assert pairs == [("rpm_pa", "deformation")]
-    (part,) = pilots(pairs, EXPERIMENT)
-    plan = expand(EXPERIMENT, part)
-    (levels,) = {tuple(entry.tests["deformation"]) for entry in EXPERIMENT.datasets}
-    assert part.levels == [levels[len(levels) // 4], levels[3 * len(levels) // 4]]
-    block = expand(EXPERIMENT, None, NAME, costly.needs)
-    assert {run.run_id for run in plan.runs()} < {run.run_id for run in block.runs()}
-    measured = times(*(("rpm_pa", "deformation", level, 1.0) for level in part.levels))
-    assert not any(pair[1] == "deformation" for pair in unmeasured(costly, measured, EXPERIMENT))
-
-
-def test_short_unmeasured_steps_and_absent_methods_have_no_pilot(costly, monkeypatch):
-    short = replace(costly, step=replace(costly.step, unseen_seconds=60.0))
-    assert not unmeasured(short, times(), EXPERIMENT)
-    monkeypatch.setattr(pilot, "runs_here", lambda method: False)
-    assert not unmeasured(costly, times(), EXPERIMENT)
+    """An option."""
+    step = Forecast(24, 5000.0, 12)
+    return Option("claim", NONE, step, step, 1)
 
 
 def test_the_shortest_step_is_begun_if_none_fits(costly):
@@ -157,24 +135,6 @@ def test_the_shortest_step_is_begun_if_none_fits(costly):
     assert run._next(ahead, 1.0) == (NAME, costly)
     assert run._next(ahead, 0.0) is None
     assert run._next(ahead[:1], 6000.0) is None
-
-
-def test_a_pilot_precedes_its_block_once(costly, tmp_path, monkeypatch):
-    """Also if it measures nothing: its method fails."""
-    begun = []
-
-    def ended(campaign, claim, expected, part=None, **_):
-        begun.append((claim, part and part.tests))
-        return len(begun) < 2
-
-    monkeypatch.setenv("DCREG_ARCHIVES", "")
-    monkeypatch.setattr(run, "_run", ended)
-    monkeypatch.setattr(run, "_finish_blocks", lambda *_: True)
-    monkeypatch.setattr(run, "_ahead", lambda *_: [(NAME, costly)])
-    monkeypatch.setattr(run, "unmeasured", lambda *_: [("rpm_pa", "noise")])
-    run.collect(1.0, [NAME], tmp_path, 1, tmp_path / "out")
-    assert begun == [("claim", ["noise"]), ("claim", None)]
-    assert Needs.read(Campaign(NAME, tmp_path).needs_path) == costly.needs
 
 
 def test_runs_of_an_interrupted_block_are_measured_and_done(tmp_path, monkeypatch):
