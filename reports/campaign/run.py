@@ -203,7 +203,7 @@ def collect(
     ahead = _ahead(book, campaigns)
     # by a pilot; a method that fails remains unmeasured
     tried: dict[str, set[Pair]] = {name: set() for name in names}
-    while may_go_on and (chosen := _next(ahead, (end - time.monotonic()) * cores)):
+    while may_go_on and (chosen := _next(ahead, end - time.monotonic())):
         name, option = chosen
         campaign = campaigns[name]
         if pairs := [pair for pair in unmeasured(option.step) if pair not in tried[name]]:
@@ -227,15 +227,13 @@ def collect(
 
 
 def _next(ahead: Sequence[tuple[str, Option]], left_s: float) -> tuple[str, Option] | None:
-    """Return the first option that fits into `left_s` seconds of CPU; if none does, the shortest step.
+    """Return the first option that more blocks help; None once no time is left.
 
-    The next call finishes a step that was begun.
+    The time left does not change the order, so it does not depend on where calls were cut. If this claim
+    cannot be decided in that time, no other is expected to be, and the next call finishes the step.
     """
-    if left_s <= 0.0:
-        return None
-    helping = [each for each in ahead if not each[1].obstacle]
-    fitting = [each for each in helping if each[1].step.seconds <= left_s]
-    return next(iter(fitting), min(helping, key=lambda each: each[1].step.seconds, default=None))
+    helping = (each for each in ahead if not each[1].obstacle)
+    return next(helping, None) if left_s > 0.0 else None
 
 
 def _finish_blocks(campaigns: Iterable[Campaign], run: Callable[..., bool]) -> bool:

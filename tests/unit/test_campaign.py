@@ -126,15 +126,14 @@ def costly():
     return Option("claim", NONE, step, step, 1)
 
 
-def test_the_shortest_step_is_begun_if_none_fits(costly):
-    long = replace(costly, claim="long", step=replace(costly.step, seconds=9000.0))
+@pytest.mark.parametrize("left_s", [1.0, 10000.0])
+def test_the_next_step_does_not_depend_on_the_time_left(costly, left_s):
+    short = replace(costly, claim="short", step=replace(costly.step, seconds=100.0))
     none = replace(costly, claim="none", step=replace(costly.step, seconds=1.0), obstacle="why")
-    ahead = [(NAME, none), (NAME, long), (NAME, costly)]
-    assert run._next(ahead, 10000.0) == (NAME, long)
-    assert run._next(ahead, 6000.0) == (NAME, costly)
-    assert run._next(ahead, 1.0) == (NAME, costly)
+    ahead = [(NAME, none), (NAME, costly), (NAME, short)]
+    assert run._next(ahead, left_s) == (NAME, costly)
     assert run._next(ahead, 0.0) is None
-    assert run._next(ahead[:1], 6000.0) is None
+    assert run._next(ahead[:1], left_s) is None
 
 
 def test_runs_of_an_interrupted_block_are_measured_and_done(tmp_path, monkeypatch):
