@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Any
 
 from baselines import registry
 from reports.campaign.forecast import Forecast, Times
-from reports.ledger.book import Claim, Ledger
+from reports.ledger.book import Claim, Ledger, roles_of
 from reports.ledger.evidence import methods_in
 from reports.ledger.intervals import MIN_INSTANCES, MOST_NEEDED, NOT_RUN, OPEN
 from reports.ledger.judging import Judgement
 from reports.ledger.verdicts import FEW, WIDE
+from reports.theme import words
 from workflows.blocks import Needs
 from workflows.stages.plan import Plan, PlannedRun, expand
 
 # A step has several blocks if they are expected to take less time: planning, judging and the tables take
 # about a minute per step.
 STEP_S = 300.0
-ROLES = ("subject", "reference", "methods", "rivals", "rival")
 
 
 @dataclass(frozen=True)
@@ -98,21 +97,28 @@ def _option(
 
     needs, runs = ahead(1)
     block = times.of_runs(runs)
-    count = max((needs.blocks(test) for test in tests), default=0)
-    blocks, obstacle = _blocks(found, max(1, count - 1))
-    at_once = min(blocks, trials - count + 1, int(STEP_S // max(block.seconds, 1.0)))
+    done_of = {
+        words(test): (plan.needs or Needs({})).of_all(test, methods)
+        for test, methods in tests.items()
+    }
+    blocks, obstacle = _blocks(found, done_of)
+    left = trials - min(done_of.values(), default=0)
+    at_once = min(blocks, left, int(STEP_S // max(block.seconds, 1.0)))
     if at_once > 1 and not obstacle:
         needs, runs = ahead(at_once)
     step = times.of_runs(run for run in runs if run.run_id not in done)
     if not tests:
         obstacle = "no method of the experiment has its roles"
-    elif count > trials:
+    elif left <= 0:
         obstacle = f"all {trials} trials are run"
     return Option(claim.id, needs, step, block, blocks, obstacle)
 
 
-def _blocks(found: Judgement, done: int) -> tuple[int, str]:
-    """Return the expected number of further blocks, and why they do not help."""
+def _blocks(found: Judgement, done_of: Mapping[str, int]) -> tuple[int, str]:
+    """Return the expected number of further blocks, and why they do not help.
+
+    `done_of` has the blocks of each test, by its words.
+    """
     open_ones = [
         each
         for row in found.rows
@@ -128,6 +134,7 @@ def _blocks(found: Judgement, done: int) -> tuple[int, str]:
     for each in lacking:
         n, needed = each.part.estimate.n, each.needed
         target = MIN_INSTANCES if needed is None else needed
+        done = max(1, done_of.get(each.part.group) or max(done_of.values(), default=0))
         counts.append(math.ceil(done * target / max(n, 1)) - done)
     most = max(counts)
     if any(each.needed == MOST_NEEDED for each in lacking):
@@ -147,14 +154,10 @@ def _methods_of_tests(book: Ledger, claim: Claim, plan: Plan) -> dict[str, list[
     for check in claim.checks:
         if check.get("shown_only"):
             continue
-        names = [name for role in _roles(check) for name in methods_in(book.roles[role], settings)]
+        names = [
+            name for role in roles_of(check) for name in methods_in(book.roles[role], settings)
+        ]
         for test in check.get("tests", tests) if names else ():
             if test in tests:
                 found[test] = list(dict.fromkeys([*found.get(test, []), *names]))
     return found
-
-
-def _roles(check: Mapping[str, Any]) -> Iterator[str]:
-    for key in ROLES:
-        value = check.get(key, ())
-        yield from [value] if isinstance(value, str) else value

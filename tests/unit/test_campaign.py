@@ -214,6 +214,16 @@ def test_the_runs_of_a_pilot_are_not_forecast_again(unseen):
     assert again.step.runs == first.step.runs - len(done)
 
 
+def test_a_block_is_one_trial_also_of_methods_that_other_claims_left_out():
+    """They need not run all trials that another claim needed of one method."""
+    (first,) = ahead(times(), claim="faster")
+    test, own = next(iter(first.needs.trials.items()))
+    known = Needs({test: {next(iter(own)): 30}})
+    (option,) = ahead(times(), known, "faster")
+    assert option.needs.trials[test] == {**own, **known.trials[test]}
+    assert option.block.runs < first.block.runs
+
+
 def test_a_claim_whose_trials_are_all_run_has_an_obstacle(unseen):
     judged = judge(ledger(), Evidence({}, {}), {plain_name(NAME)})
     plan = expand(EXPERIMENT, None, NAME, unseen[0].needs)
