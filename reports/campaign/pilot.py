@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dcreg.files import whole_file
 from reports.campaign.forecast import Forecast, Pair
-from workflows.config import Experiment, Selection
+from workflows.config import ConfigError, Experiment, Selection
 
 # Unmeasured seconds of a step from which a pilot is worth its start.
 PILOT_S = 600.0
@@ -43,7 +43,15 @@ def store(parts: Sequence[Selection], path: Path) -> None:
 
 
 def stored(path: Path) -> list[Selection]:
-    """Return the pilots that were begun and have not ended."""
+    """Return the pilots that were begun and have not ended.
+
+    Raises
+    ------
+    ConfigError
+    """
     if not path.is_file():
         return []
-    return [Selection(**part) for part in json.loads(path.read_text(encoding="utf-8"))]
+    try:
+        return [Selection.model_validate(each) for each in json.loads(path.read_text("utf-8"))]
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{path}: not a list of pilots: {error}; remove it") from error

@@ -10,10 +10,10 @@ import pytest
 from reports.campaign import run
 from reports.campaign.choice import Option
 from reports.campaign.forecast import Forecast, Times
-from reports.campaign.pilot import pilots, unmeasured
+from reports.campaign.pilot import pilots, stored, unmeasured
 from reports.campaign.run import Campaign
 from workflows.blocks import Needs
-from workflows.config import load
+from workflows.config import ConfigError, load
 from workflows.stages.plan import expand
 
 NAME = "paper2d-40"
@@ -115,3 +115,11 @@ def test_the_next_call_finishes_an_interrupted_pilot(costly, tmp_path, monkeypat
     run.collect(1.0, [NAME], tmp_path, 1, tmp_path / "out")
     assert len(begun) == 2
     assert not Campaign(NAME, tmp_path).pilots_path.exists()
+
+
+@pytest.mark.parametrize("content", ["{", "1", "[1]", '[{"tests": 3}]'])
+def test_a_damaged_file_of_pilots_is_refused(tmp_path, content):
+    path = tmp_path / "pilots.json"
+    path.write_text(content)
+    with pytest.raises(ConfigError, match=r"pilots\.json: not a list of pilots"):
+        stored(path)
