@@ -8,7 +8,7 @@ have the outcome *not needed*.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,11 +51,19 @@ class Needs:
     def needs(self, method: str, test: str, trial: int) -> bool:
         return trial < self.trials.get(test, {}).get(method, 0)
 
-    def with_block(self, test: str, methods: list[str]) -> Needs:
-        """Return needs with one more block of a test; methods that skipped earlier ones catch up."""
-        number = self.blocks(test) + 1
-        own = {**self.trials.get(test, {}), **dict.fromkeys(methods, number)}
-        return Needs({**self.trials, test: own})
+    def of_all(self, test: str, methods: Iterable[str]) -> int:
+        """Return the number of blocks of a test that all of these methods have."""
+        own = self.trials.get(test, {})
+        return min((own.get(method, 0) for method in methods), default=0)
+
+    def with_block(self, test: str, methods: Sequence[str]) -> Needs:
+        """Return needs in which all of these methods have one more block of a test.
+
+        Only those run that do not have it, so a method that skipped blocks starts with the first one.
+        """
+        number, own = self.of_all(test, methods) + 1, self.trials.get(test, {})
+        more = {method: max(number, own.get(method, 0)) for method in methods}
+        return Needs({**self.trials, test: {**own, **more}})
 
 
 def _checked(content: Any) -> dict[str, dict[str, int]]:

@@ -93,16 +93,17 @@ def run_snakemake(
     arguments: Sequence[str],
     profiles: Sequence[Profile] = (),
     view_of: Callable[[], View] | None = None,
+    end: float = float("inf"),
 ) -> int:
     """Run Snakemake on experiment `name` below `directory`; return its exit code, or `INTERRUPTED`.
 
     The arguments must end with those of ``--config``. Later profiles override earlier ones. `view_of`
     makes the view of the running experiment, after damaged results were set aside.
 
-    Snakemake and its jobs form a separate process group. At Ctrl-C, SIGTERM or SIGHUP they receive
-    SIGTERM, at which Snakemake starts no new job. At a second signal, or after `PATIENCE_S`, they are
-    killed. Only unfinished runs are lost. With jobs on a cluster, Snakemake receives SIGINT, at which it
-    cancels them.
+    Snakemake and its jobs form a separate process group. At Ctrl-C, SIGTERM or SIGHUP, or when
+    `time.monotonic` reaches `end`, they receive SIGTERM, at which Snakemake starts no new job. At a
+    second signal, or after `PATIENCE_S`, they are killed. Only unfinished runs are lost. With jobs on a
+    cluster, Snakemake receives SIGINT, at which it cancels them.
 
     Raises
     ------
@@ -150,6 +151,8 @@ def run_snakemake(
                 while process.poll() is None:
                     if time.monotonic() > deadline:
                         os.killpg(process.pid, signal.SIGKILL)
+                    elif time.monotonic() > end and deadline == float("inf"):
+                        interrupt(signal.SIGTERM, None)
                     with suppress(subprocess.TimeoutExpired):
                         process.wait(timeout=0.5)
                     if view:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from workflows.outlook import runs_here
 from workflows.stages.plan import PlannedRun
 
 CELL = ["method", "test", "level"]
+Pair = tuple[str, str]  # method and test
 TIMED = [*CELL, "time_solve_s", "time_overhead_s"]
 
 
@@ -27,8 +28,8 @@ class Forecast:
     seconds : float
     unseen : int
         Runs that have no measured cell.
-    unseen_seconds : float
-        Expected CPU time of these.
+    unmeasured : mapping
+        Expected CPU time of methods and tests without any measured run.
     megabytes : float or None
         None if no run has been measured.
     """
@@ -36,7 +37,7 @@ class Forecast:
     runs: int
     seconds: float
     unseen: int
-    unseen_seconds: float = 0.0
+    unmeasured: Mapping[Pair, float] = field(default_factory=dict)
     megabytes: float | None = None
 
     def __str__(self) -> str:
@@ -92,7 +93,9 @@ class Times:
 
     def of_runs(self, runs: Iterable[PlannedRun]) -> Forecast:
         """Return the forecast of planned runs."""
-        count, seconds, unseen, unseen_seconds = 0, 0.0, 0, 0.0
+        count, seconds, unseen = 0, 0.0, 0
+        measured = {key[:2] for key in self.cells.index}
+        unmeasured: dict[Pair, float] = {}
         is_here: dict[str, bool] = {}
         for run in runs:
             count, name = count + 1, run.method.name
@@ -102,13 +105,11 @@ class Times:
                 continue
             expected, is_seen = self.of_cell(name, run.instance.test, run.instance.level)
             seconds += expected
-            if not is_seen:
-                unseen, unseen_seconds = unseen + 1, unseen_seconds + expected
+            unseen += not is_seen
+            if (pair := (name, run.instance.test)) not in measured:
+                unmeasured[pair] = unmeasured.get(pair, 0.0) + expected
         disk = None if self.bytes_per_run is None else count * self.bytes_per_run / 1e6
-        return Forecast(count, seconds, unseen, unseen_seconds, disk)
-
-    def has_measured(self, method: str, test: str) -> bool:
-        return (method, test) in {key[:2] for key in self.cells.index}
+        return Forecast(count, seconds, unseen, unmeasured, disk)
 
     def of_cell(self, method: str, test: str, level: float) -> tuple[float, bool]:
         """Return the expected seconds of a run, and whether its cell has been measured.

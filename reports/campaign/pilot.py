@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
-from reports.campaign.choice import Option
-from reports.campaign.forecast import Times
-from workflows.config import Experiment, Selection
-from workflows.outlook import runs_here
+from dcreg.files import whole_file
+from reports.campaign.forecast import Forecast, Pair
+from workflows.config import ConfigError, Experiment, Selection
 
 # Unmeasured seconds of a step from which a pilot is worth its start.
 PILOT_S = 600.0
-Pair = tuple[str, str]  # method and test
+PILOTS = "pilots.json"  # file of the pilots that were begun, next to the needs
 
 
-def unmeasured(option: Option, times: Times, experiment: Experiment) -> list[Pair]:
+def unmeasured(step: Forecast) -> list[Pair]:
     """Return the methods and tests of the next step without a measured run, if they take long."""
-    if option.step.unseen_seconds < PILOT_S:
-        return []
-    return [
-        (method, test)
-        for test, own in option.needs.trials.items()
-        for method in own
-        if not times.has_measured(method, test) and runs_here(experiment.method(method))
-    ]
+    return list(step.unmeasured) if sum(step.unmeasured.values()) >= PILOT_S else []
 
 
 def pilots(pairs: list[Pair], experiment: Experiment) -> Iterator[Selection]:
@@ -39,3 +33,25 @@ def pilots(pairs: list[Pair], experiment: Experiment) -> Iterator[Selection]:
         quartiles = {levels[len(levels) // 4], levels[3 * len(levels) // 4]}
         methods = [method for method, own in pairs if own == test]
         yield Selection(methods=methods, tests=[test], levels=sorted(quartiles), trials=[0])
+
+
+def store(parts: Sequence[Selection], path: Path) -> None:
+    """Store pilots before they are begun, so that the next call finishes them."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as file:
+        file.write_text(json.dumps([part.model_dump() for part in parts]), encoding="utf-8")
+
+
+def stored(path: Path) -> list[Selection]:
+    """Return the pilots that were begun and have not ended.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if not path.is_file():
+        return []
+    try:
+        return [Selection.model_validate(each) for each in json.loads(path.read_text("utf-8"))]
+    except (OSError, ValueError, TypeError) as error:
+        raise ConfigError(f"{path}: not a list of pilots: {error}; remove it") from error

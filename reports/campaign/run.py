@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import csv
 import functools
-import os
-import signal
-import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,9 +16,9 @@ from rich.table import Table
 
 from baselines import registry
 from reports.campaign.choice import Option, options
-from reports.campaign.forecast import TIMED, Forecast, Times, bytes_per_run
+from reports.campaign.forecast import TIMED, Forecast, Pair, Times, bytes_per_run
 from reports.campaign.growth import changes, verdicts
-from reports.campaign.pilot import Pair, pilots, unmeasured
+from reports.campaign.pilot import PILOTS, pilots, store, stored, unmeasured
 from reports.ledger.book import Ledger, ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.judging import Judgement, judge
@@ -66,6 +62,10 @@ class Campaign:
     @property
     def needs_path(self) -> Path:
         return self.folder / NEEDS
+
+    @property
+    def pilots_path(self) -> Path:
+        return self.folder / PILOTS
 
     @property
     def trials(self) -> int:
@@ -144,20 +144,39 @@ class Campaign:
                     rows.append((row["run_id"], method.name, spec.test, spec.level, *seconds))
         return pd.DataFrame(rows, columns=["run_id", *TIMED])
 
-    def forecast(self, part: Selection) -> Forecast:
-        """Return the forecast of a part of the experiment that has not been run."""
-        return self.times().of_runs(expand(self.experiment, part).runs())
+    @cached_property
+    def archived(self) -> set[str]:
+        """The run_ids of archived runs of the present versions of the methods."""
+        return {
+            run_id
+            for method in self.experiment.methods
+            for run_id, _, version in archived(method.name)
+            if version == registry.fingerprint(method.baseline)
+        }
 
-    def unfinished(self) -> Forecast:
-        """Return the forecast of the needed runs without a result, here or in an archive."""
-        tables = self.tables()
-        done = set(self.ended()["run_id"])
-        if tables is not None:
-            done |= set(tables.runs["run_id"])
-        for method in self.experiment.methods:
-            version = registry.fingerprint(method.baseline)
-            done |= {run_id for run_id, _, known in archived(method.name) if known == version}
-        return self.times().of_runs(run for run in self.plan().runs() if run.run_id not in done)
+    def shown(self) -> set[str]:
+        """Return the run_ids of the results in the tables, of the present versions of the methods."""
+        if (tables := self.tables()) is None:
+            return set()
+        versions = {
+            method.name: registry.fingerprint(method.baseline) for method in self.experiment.methods
+        }
+        runs = tables.runs[tables.runs["outcome"] != NOT_NEEDED]
+        return set(runs.loc[runs["fingerprint"] == runs["method"].map(versions), "run_id"])
+
+    def done(self) -> set[str]:
+        """Return the run_ids of all results, also of an interrupted block or a pilot."""
+        return self.shown() | set(self.ended()["run_id"]) | self.archived
+
+    def is_behind(self) -> bool:
+        """Tell whether the tables lack needed runs, which may have ended."""
+        shown = self.shown()
+        return any(run.run_id not in shown for run in self.plan().runs())
+
+    def forecast(self, plan: Plan) -> Forecast:
+        """Return the forecast of the needed runs of a plan without a result, here or in an archive."""
+        done = self.done()
+        return self.times().of_runs(run for run in plan.runs() if run.run_id not in done)
 
 
 def collect(
@@ -179,20 +198,21 @@ def collect(
     book, console = ledger(), Console()
     campaigns = {name: Campaign(name, directory) for name in names}
     end = time.monotonic() + 3600.0 * hours
-    may_go_on = _finish_blocks(campaigns.values(), end, cores, out, console)
+    run = functools.partial(_run, end=end, cores=cores, out=out, console=console)
+    may_go_on = _finish_blocks(campaigns.values(), run)
     ahead = _ahead(book, campaigns)
-    tried: set[Pair] = set()  # by a pilot; a method that fails remains unmeasured
-    while may_go_on and (chosen := _next(ahead, (end - time.monotonic()) * cores)):
-        campaign, option = campaigns[chosen[0]], chosen[1]
-        run = functools.partial(_run, campaign, end=end, cores=cores, out=out, console=console)
-        pairs = unmeasured(option, campaign.times(), campaign.experiment)
-        if pairs := [pair for pair in pairs if pair not in tried]:
-            tried.update(pairs)
-            parts = pilots(pairs, campaign.experiment)
-            may_go_on = all(run(option.claim, campaign.forecast(part), part) for part in parts)
+    # by a pilot; a method that fails remains unmeasured
+    tried: dict[str, set[Pair]] = {name: set() for name in names}
+    while may_go_on and (chosen := _next(ahead, end - time.monotonic())):
+        name, option = chosen
+        campaign = campaigns[name]
+        if pairs := [pair for pair in unmeasured(option.step) if pair not in tried[name]]:
+            tried[name].update(pairs)
+            store(list(pilots(pairs, campaign.experiment)), campaign.pilots_path)
+            may_go_on = _run_pilots(campaign, option.claim, run)
         else:
             option.needs.write(campaign.needs_path)
-            may_go_on = run(option.claim, option.step)
+            may_go_on = run(campaign, option.claim, option.step)
         ahead = _ahead(book, campaigns)
     for name, campaign in campaigns.items():
         out.mkdir(parents=True, exist_ok=True)
@@ -207,41 +227,45 @@ def collect(
 
 
 def _next(ahead: Sequence[tuple[str, Option]], left_s: float) -> tuple[str, Option] | None:
-    """Return the first option that fits into `left_s` seconds of CPU; if none does, the shortest step.
+    """Return the first option that more blocks help; None once no time is left.
 
-    The next call finishes a step that was begun.
+    The time left does not change the order, so it does not depend on where calls were cut. If this claim
+    cannot be decided in that time, no other is expected to be, and the next call finishes the step.
     """
-    if left_s <= 0.0:
-        return None
-    helping = [each for each in ahead if not each[1].obstacle]
-    fitting = [each for each in helping if each[1].step.seconds <= left_s]
-    return next(iter(fitting), min(helping, key=lambda each: each[1].step.seconds, default=None))
+    helping = (each for each in ahead if not each[1].obstacle)
+    return next(helping, None) if left_s > 0.0 else None
 
 
-def _finish_blocks(
-    campaigns: Iterable[Campaign], end: float, cores: int, out: Path, console: Console
-) -> bool:
-    """Finish the blocks of earlier calls; return whether all of them ended before `end`."""
+def _finish_blocks(campaigns: Iterable[Campaign], run: Callable[..., bool]) -> bool:
+    """Finish pilots and blocks of earlier calls; return whether all of them ended in time."""
     for campaign in campaigns:
         campaign.adopt()
-        rest = campaign.unfinished()
-        is_begun = campaign.needs_path.is_file() and campaign.tables() is None
-        if (rest.runs or is_begun) and not _run(
-            campaign, "continue", rest, end=end, cores=cores, out=out, console=console
+        if not _run_pilots(campaign, "continue", run):
+            return False
+        if campaign.is_behind() and not run(
+            campaign, "continue", campaign.forecast(campaign.plan())
         ):
             return False
     return True
 
 
+def _run_pilots(campaign: Campaign, claim: str, run: Callable[..., bool]) -> bool:
+    """Run the stored pilots; return whether they ended in time."""
+    for part in stored(campaign.pilots_path):
+        rest = campaign.forecast(expand(campaign.experiment, part))
+        if rest.runs and not run(campaign, claim, rest, part):
+            return False
+    campaign.pilots_path.unlink(missing_ok=True)
+    return True
+
+
 def _ahead(book: Ledger, campaigns: dict[str, Campaign]) -> list[tuple[str, Option]]:
     """Return the open claims of all experiments, the one expected to be decided first at the front."""
-    found = [
-        (name, option)
-        for name, campaign in campaigns.items()
-        for option in options(
-            book, campaign.judged(book), campaign.plan(), campaign.times(), campaign.trials
-        )
-    ]
+    found = []
+    for name, campaign in campaigns.items():
+        judged, plan, times = campaign.judged(book), campaign.plan(), campaign.times()
+        of_claims = options(book, judged, plan, times, campaign.trials, campaign.done())
+        found += [(name, option) for option in of_claims]
     return sorted(found, key=lambda each: (bool(each[1].obstacle), each[1].seconds, each[1].claim))
 
 
@@ -259,20 +283,20 @@ def _run(
     """Run the needed blocks of an experiment, or a pilot; return whether they ended before `end`."""
     title = f"{claim}, pilot" if part else claim
     console.print(f"block     {campaign.name}, {title}: {expected}", soft_wrap=True)
+    if time.monotonic() >= end:
+        return _stopped(INTERRUPTED, end, console)
     before, began = set(campaign.ended()["run_id"]), time.monotonic()
     plan = expand(campaign.experiment, part, origin(campaign.name)) if part else campaign.plan()
-    with _interrupted_at(end):
-        code = run_snakemake(
-            campaign.directory,
-            campaign.experiment.name,
-            [*_targets(campaign, plan), "--cores", str(cores), "--resources", "fetching=1",
-             "--config", f"experiment={campaign.name}", *_settings(campaign, part)],
-            view_of=lambda: View(plan, campaign.folder.parent, cores, console),
-        )  # fmt: skip
+    code = run_snakemake(
+        campaign.directory,
+        campaign.experiment.name,
+        [*_targets(campaign, plan), "--cores", str(cores), "--resources", "fetching=1",
+         "--config", f"experiment={campaign.name}", *_settings(campaign, part)],
+        view_of=lambda: View(plan, campaign.folder.parent, cores, console),
+        end=end,
+    )  # fmt: skip
     if code or not (part or campaign.tables()):
-        what = "the time is over" if code == INTERRUPTED else "some stages failed; see above"
-        console.print(f"stopped   {what}; the same command continues from here")
-        return False
+        return _stopped(code, end, console)
     ended = campaign.ended()
     new = ended[~ended["run_id"].isin(before)]
     actual = float(new[["time_solve_s", "time_overhead_s"]].sum().sum())
@@ -289,6 +313,15 @@ def _run(
     return True
 
 
+def _stopped(code: int, end: float, console: Console) -> bool:
+    """Print why nothing more is begun."""
+    what = "some stages failed; see above"
+    if code == INTERRUPTED:
+        what = "the time is over" if time.monotonic() >= end else "interrupted"
+    console.print(f"stopped   {what}; the same command continues from here")
+    return False
+
+
 def _targets(campaign: Campaign, plan: Plan) -> list[str]:
     """Return what Snakemake makes: the tables of all blocks, or just the runs of a pilot."""
     if plan.needs is not None:
@@ -302,20 +335,6 @@ def _settings(campaign: Campaign, part: Selection | None) -> list[str]:
         return [f"needs={campaign.needs_path.resolve()}"]
     axes = (f"{axis}={','.join(map(str, values))}" for axis, values in part if values)
     return [f"select={' '.join(axes)}"]
-
-
-@contextmanager
-def _interrupted_at(end: float) -> Iterator[None]:
-    """Send this process SIGTERM at `end`, at which Snakemake and its jobs end in order."""
-    timer = threading.Timer(
-        max(0.0, end - time.monotonic()), os.kill, (os.getpid(), signal.SIGTERM)
-    )
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def _append(path: Path, row: dict[str, object]) -> None:

@@ -40,9 +40,11 @@ def test_needed_runs_are_those_of_the_whole_experiment():
     assert {run.run_id for run in expand(EXPERIMENT, needs=NEEDS).runs()} < whole
 
 
-def test_a_method_that_skipped_blocks_catches_up():
-    more = NEEDS.with_block("noise", ["icp"]).with_block("deformation", ["dcreg"])
-    assert more.trials == {"noise": {"dcreg": 3, "icp": 4}, "deformation": {"dcreg": 1}}
+def test_a_method_that_skipped_blocks_starts_with_the_first():
+    more = NEEDS.with_block("noise", ["dcreg", "icp"]).with_block("deformation", ["dcreg"])
+    assert more.trials == {"noise": {"dcreg": 3, "icp": 2}, "deformation": {"dcreg": 1}}
+    assert more.of_all("noise", ["dcreg", "icp"]) == 2
+    assert more.with_block("noise", ["dcreg"]).trials["noise"] == {"dcreg": 4, "icp": 2}
     names = [chunk.name for chunk in expand(EXPERIMENT, needs=NEEDS).chunks]
     assert set(names) < {chunk.name for chunk in expand(EXPERIMENT, needs=more).chunks}
 

@@ -13,11 +13,10 @@ import pytest
 from rich.console import Console
 
 from baselines import registry
-from reports.campaign import choice, forecast, growth, pilot, run
+from reports.campaign import choice, forecast, growth, run
 from reports.campaign.choice import Option, options
 from reports.campaign.forecast import Forecast, Times, bytes_per_run
 from reports.campaign.growth import changes
-from reports.campaign.pilot import pilots, unmeasured
 from reports.campaign.run import Campaign
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
@@ -47,12 +46,12 @@ def times(*cells: tuple[str, str, float, float]) -> Times:
     return Times.of([runs], EXPERIMENT)
 
 
-def ahead(known: Times, needs: Needs = NONE, claim: str | None = None):
+def ahead(known: Times, needs: Needs = NONE, claim: str | None = None, done=frozenset()):
     """The options of all claims, or of one."""
     judged = judge(ledger(), Evidence({}, {}), {plain_name(NAME)})
     judged = [each for each in judged if claim in (None, each.id)]
     plan = expand(EXPERIMENT, None, NAME, needs)
-    return options(ledger(), judged, plan, known, 100)
+    return options(ledger(), judged, plan, known, 100, done)
 
 
 @pytest.fixture(scope="module")
@@ -116,65 +115,25 @@ def test_methods_that_are_not_installed_take_no_time(monkeypatch):
     plan = expand(EXPERIMENT, None, NAME, NONE.with_block("noise", ["rpm_pa", "rpm_cav"]))
     found, limit = times().of_runs(plan.runs()), times().limits["rpm_cav"]
     assert found.runs == 2 * found.unseen
-    assert found.seconds == found.unseen_seconds == found.unseen * limit
+    assert found.seconds == found.unseen * limit
+    assert found.unmeasured == {("rpm_cav", "noise"): found.seconds}
 
 
 @pytest.fixture
 def costly():
-    """The option of a claim about a method whose runs in one of two tests are measured."""
-    needs = NONE.with_block("noise", ["rpm_pa"]).with_block("deformation", ["rpm_pa"])
-    step = Forecast(24, 5000.0, 12, 2400.0)
-    return Option("claim", needs, step, step, 1)
+    """An option."""
+    step = Forecast(24, 5000.0, 12)
+    return Option("claim", NONE, step, step, 1)
 
 
-def test_a_pilot_runs_two_levels_of_unmeasured_tests(costly):
-    known = times(("rpm_pa", "noise", 0.02, 4.0))
-    pairs = unmeasured(costly, known, EXPERIMENT)
-    assert pairs == [("rpm_pa", "deformation")]
-    (part,) = pilots(pairs, EXPERIMENT)
-    plan = expand(EXPERIMENT, part)
-    (levels,) = {tuple(entry.tests["deformation"]) for entry in EXPERIMENT.datasets}
-    assert part.levels == [levels[len(levels) // 4], levels[3 * len(levels) // 4]]
-    block = expand(EXPERIMENT, None, NAME, costly.needs)
-    assert {run.run_id for run in plan.runs()} < {run.run_id for run in block.runs()}
-    measured = times(*(("rpm_pa", "deformation", level, 1.0) for level in part.levels))
-    assert not any(pair[1] == "deformation" for pair in unmeasured(costly, measured, EXPERIMENT))
-
-
-def test_short_unmeasured_steps_and_absent_methods_have_no_pilot(costly, monkeypatch):
-    short = replace(costly, step=replace(costly.step, unseen_seconds=60.0))
-    assert not unmeasured(short, times(), EXPERIMENT)
-    monkeypatch.setattr(pilot, "runs_here", lambda method: False)
-    assert not unmeasured(costly, times(), EXPERIMENT)
-
-
-def test_the_shortest_step_is_begun_if_none_fits(costly):
-    long = replace(costly, claim="long", step=replace(costly.step, seconds=9000.0))
+@pytest.mark.parametrize("left_s", [1.0, 10000.0])
+def test_the_next_step_does_not_depend_on_the_time_left(costly, left_s):
+    short = replace(costly, claim="short", step=replace(costly.step, seconds=100.0))
     none = replace(costly, claim="none", step=replace(costly.step, seconds=1.0), obstacle="why")
-    ahead = [(NAME, none), (NAME, long), (NAME, costly)]
-    assert run._next(ahead, 10000.0) == (NAME, long)
-    assert run._next(ahead, 6000.0) == (NAME, costly)
-    assert run._next(ahead, 1.0) == (NAME, costly)
+    ahead = [(NAME, none), (NAME, costly), (NAME, short)]
+    assert run._next(ahead, left_s) == (NAME, costly)
     assert run._next(ahead, 0.0) is None
-    assert run._next(ahead[:1], 6000.0) is None
-
-
-def test_a_pilot_precedes_its_block_once(costly, tmp_path, monkeypatch):
-    """Also if it measures nothing: its method fails."""
-    begun = []
-
-    def ended(campaign, claim, expected, part=None, **_):
-        begun.append((claim, part and part.tests))
-        return len(begun) < 2
-
-    monkeypatch.setenv("DCREG_ARCHIVES", "")
-    monkeypatch.setattr(run, "_run", ended)
-    monkeypatch.setattr(run, "_finish_blocks", lambda *_: True)
-    monkeypatch.setattr(run, "_ahead", lambda *_: [(NAME, costly)])
-    monkeypatch.setattr(run, "unmeasured", lambda *_: [("rpm_pa", "noise")])
-    run.collect(1.0, [NAME], tmp_path, 1, tmp_path / "out")
-    assert begun == [("claim", ["noise"]), ("claim", None)]
-    assert Needs.read(Campaign(NAME, tmp_path).needs_path) == costly.needs
+    assert run._next(ahead[:1], left_s) is None
 
 
 def test_runs_of_an_interrupted_block_are_measured_and_done(tmp_path, monkeypatch):
@@ -193,7 +152,28 @@ def test_runs_of_an_interrupted_block_are_measured_and_done(tmp_path, monkeypatc
     assert campaign.ended()["run_id"].tolist() == [planned[0].run_id]
     spec = planned[0].instance
     assert campaign.times().of_cell("rpm_pa", spec.test, spec.level) == (4.0, True)
-    assert campaign.unfinished().runs == len(planned) - 1
+    assert campaign.forecast(campaign.plan()).runs == len(planned) - 1
+
+
+def test_ended_runs_are_not_shown_before_their_tables_are_made(tmp_path, monkeypatch):
+    """As after an interruption between the last run of a block and its tables."""
+    monkeypatch.setenv("DCREG_ARCHIVES", "")
+    campaign = Campaign(NAME, tmp_path)
+    assert not campaign.is_behind()
+    NONE.with_block("noise", ["rpm_pa"]).write(campaign.needs_path)
+    runs = pd.DataFrame({"run_id": [each.run_id for each in campaign.plan().runs()]}).assign(
+        method="rpm_pa", outcome="finished", fingerprint=registry.fingerprint("rpm_pa"),
+        test="noise", level=0.0, time_solve_s=1.0, time_overhead_s=0.0,
+    )  # fmt: skip
+    monkeypatch.setattr(Campaign, "ended", lambda self: runs)
+    assert campaign.is_behind()
+    assert not campaign.forecast(campaign.plan()).runs
+    for columns, is_behind in [
+        ({}, False), ({"outcome": "not_needed"}, True), ({"fingerprint": "rpm_pa 0"}, True),
+    ]:  # fmt: skip
+        tables = Tables(tmp_path, runs.assign(**columns), pd.DataFrame(), {}, [])
+        monkeypatch.setattr(Campaign, "tables", lambda self, tables=tables: tables)
+        assert campaign.is_behind() == is_behind
 
 
 def test_every_claim_about_the_experiment_has_a_next_block(unseen):
@@ -222,6 +202,26 @@ def test_finished_blocks_are_not_paid_again(unseen):
     assert again.block.runs == first.block.runs  # one more trial, without the one before
     for test, own in first.needs.trials.items():
         assert again.needs.trials[test] == {name: number + 1 for name, number in own.items()}
+
+
+def test_the_runs_of_a_pilot_are_not_forecast_again(unseen):
+    first = unseen[0]
+    plan = expand(EXPERIMENT, None, NAME, first.needs)
+    done = {run.run_id for run in plan.runs() if run.instance.level == 0.0}
+    (again,) = ahead(times(), claim=first.claim, done=done)
+    assert again.needs == first.needs
+    assert again.block == first.block
+    assert again.step.runs == first.step.runs - len(done)
+
+
+def test_a_block_is_one_trial_also_of_methods_that_other_claims_left_out():
+    """They need not run all trials that another claim needed of one method."""
+    (first,) = ahead(times(), claim="faster")
+    test, own = next(iter(first.needs.trials.items()))
+    known = Needs({test: {next(iter(own)): 30}})
+    (option,) = ahead(times(), known, "faster")
+    assert option.needs.trials[test] == {**own, **known.trials[test]}
+    assert option.block.runs < first.block.runs
 
 
 def test_a_claim_whose_trials_are_all_run_has_an_obstacle(unseen):
@@ -276,7 +276,7 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
     monkeypatch.setenv("DCREG_ARCHIVES", "")  # whose many runs would be read
     views = []
 
-    def snakemake(directory, name, arguments, view_of):
+    def snakemake(directory, name, arguments, view_of, end):
         views.append(view_of())
         return 1
 
@@ -294,6 +294,14 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
     assert views[0].console is console
 
 
+def test_nothing_is_begun_once_the_time_is_over(tmp_path, monkeypatch):
+    monkeypatch.setenv("DCREG_ARCHIVES", "")
+    monkeypatch.setattr(run, "run_snakemake", lambda *_, **__: pytest.fail("begun"))
+    monkeypatch.setattr(run, "_ahead", lambda *_: [])
+    NONE.with_block("noise", ["rpm_pa"]).write(Campaign(NAME, tmp_path).needs_path)
+    assert run.collect(0.0, [NAME], tmp_path, 1, tmp_path / "out") == []
+
+
 def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monkeypatch):
     begun = []
 
@@ -302,7 +310,7 @@ def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monke
         return False
 
     monkeypatch.setattr(run, "_run", interrupted)
-    monkeypatch.setattr(Campaign, "unfinished", lambda self: Forecast(1, 2.0, 0))
+    monkeypatch.setattr(Campaign, "is_behind", lambda self: True)
     names = [NAME, "paper3d-40"]
     monkeypatch.setattr(run, "_ahead", lambda *_: [])
     run.collect(1.0, names, tmp_path, 1, tmp_path / "out")

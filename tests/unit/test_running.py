@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import time
 
 import pytest
 
-from workflows.running import BusyError, _correct_times, the_only_run
+from workflows import running
+from workflows.running import INTERRUPTED, BusyError, _correct_times, run_snakemake, the_only_run
 
 
 def test_the_message_to_a_second_run_names_the_first(tmp_path):
@@ -56,3 +58,16 @@ def test_files_from_the_future_get_the_present_time(tmp_path):
     _correct_times(tmp_path)
     assert now <= (tmp_path / "runs" / "later").stat().st_mtime <= time.time()
     assert (tmp_path / "runs" / "earlier").stat().st_mtime == pytest.approx(now - 1e6)
+
+
+def test_snakemake_is_stopped_at_the_given_time(tmp_path, monkeypatch):
+    """Also if that time is over before it starts: a signal to this process would end it then."""
+    start = subprocess.Popen
+
+    def sleeping(command, **settings):
+        return start(["sleep", "20"], process_group=settings["process_group"])
+
+    monkeypatch.setattr(running.subprocess, "Popen", sleeping)
+    began = time.monotonic()
+    assert run_snakemake(tmp_path, "a", ["--config"], end=began) == INTERRUPTED
+    assert time.monotonic() < began + 10.0
