@@ -65,12 +65,14 @@ class CountBound(SpaceBound[Any]):
     def of(cls, setup: Setup, budget: Budget, distance: float, most: int) -> CountBound:
         """Return the bound for the largest of the problems, in normalised units."""
         normalised = setup.normalised(-1, budget)
-        space, reach = space_of(setup.mode, normalised), distance / setup.frame.unit
-        kernel, reach = _KERNELS[setup.mode.model, setup.mode.name], reach * (1.0 + _ROUNDING)
+        space, given = space_of(setup.mode, normalised), setup.problems[-1]
+        kernel, bits = (
+            _KERNELS[setup.mode.model, setup.mode.name],
+            last_bits(given.source, given.target),
+        )
+        reach = (distance * (1.0 + _ROUNDING) + bits) / setup.frame.unit
         roots, threads = _roots(space, reach), normalised.threads
-        given = setup.problems[-1]
-        bits = last_bits(given.source, given.target) / setup.frame.unit
-        return cls(space, roots, threads, kernel, reach + bits + _ROUNDING**1.5, most)
+        return cls(space, roots, threads, kernel, reach + _ROUNDING**1.5, most)
 
     def fresh(self) -> CountBound:
         return self

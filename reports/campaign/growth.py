@@ -22,7 +22,7 @@ def verdicts(tables: Tables, book: Ledger) -> pd.DataFrame:
     columns = {}
     for hours, part in _parts(tables):
         found = judge(book, Evidence.of_tables(part), {plain_name(tables.experiment)})
-        columns[round(hours, 1)] = {each.id: each.verdict for each in found}
+        columns[round(hours, 2)] = {each.id: each.verdict for each in found}
     table = pd.DataFrame(columns).rename_axis(index="claim", columns="hours")
     return table[(table != NOT_RUN).any(axis=1)]
 

@@ -9,12 +9,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
 from baselines import registry
+from reports.archive.read import restore
 from reports.campaign.choice import Option, options
 from reports.campaign.forecast import TIMED, Forecast, Pair, Times, bytes_per_run
 from reports.campaign.growth import changes, verdicts
@@ -79,8 +81,16 @@ class Campaign:
         for archive in reversed(folders()):
             stored = archive / "experiments" / self.experiment.name / NEEDS
             if stored.is_file():
+                self._adopt_tables(archive)
                 Needs.read(stored).write(self.needs_path)
                 return
+
+    def _adopt_tables(self, archive: Path) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=self.folder) as place:
+            (tables,) = restore(archive, Path(place), only=self.experiment.name)
+            if not (self.folder / "tables").exists():
+                tables.rename(self.folder / "tables")
 
     def plan(self) -> Plan:
         """Return the plan of all blocks so far."""

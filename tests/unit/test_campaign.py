@@ -255,17 +255,27 @@ def test_claims_without_runs_are_open_to_more(unseen, claim):
     assert next(option for option in unseen if option.claim == claim).blocks == 1
 
 
-def test_a_campaign_continues_from_the_blocks_of_an_archive(tmp_path, monkeypatch):
+def test_a_campaign_continues_from_the_blocks_and_tables_of_an_archive(tmp_path, monkeypatch):
     archives, needs = tmp_path / "archives", NONE.with_block("noise", ["dcreg", "rpm_pa"])
     for number, stored in enumerate([NONE, needs]):
         folder = archives / str(number)
         needs_path = folder / "experiments" / NAME / "needs.json"
         stored.write(needs_path)
         (folder / "archive.json").write_text(f'{{"created": "{number}"}}')
+
+    def restored(archive, out, only):
+        tables = out / only / "tables"
+        tables.mkdir(parents=True)
+        (tables / "origin").write_text(archive.name)
+        return [tables]
+
+    monkeypatch.setattr(run, "restore", restored)
     monkeypatch.setenv("DCREG_ARCHIVES", str(archives))
     campaign = Campaign(NAME, tmp_path)
     campaign.adopt()
     assert Needs.read(campaign.needs_path) == needs
+    assert (campaign.folder / "tables" / "origin").read_text() == "1"
+    assert [path.name for path in campaign.folder.iterdir()].count("tables") == 1
     more = needs.with_block("noise", ["dcreg"])
     more.write(campaign.needs_path)
     campaign.adopt()
