@@ -29,7 +29,8 @@ class Forecast:
     unseen : int
         Runs that have no measured cell.
     unmeasured : mapping
-        Expected CPU time of methods and tests without any measured run.
+        The time limits of all runs of methods and tests without any measured run: the expected times of
+        these can be far too low.
     megabytes : float or None
         None if no run has been measured.
     """
@@ -107,7 +108,7 @@ class Times:
             seconds += expected
             unseen += not is_seen
             if (pair := (name, run.instance.test)) not in measured:
-                unmeasured[pair] = unmeasured.get(pair, 0.0) + expected
+                unmeasured[pair] = unmeasured.get(pair, 0.0) + self.limits[name]
         disk = None if self.bytes_per_run is None else count * self.bytes_per_run / 1e6
         return Forecast(count, seconds, unseen, unmeasured, disk)
 

@@ -10,13 +10,13 @@ from dcreg.files import whole_file
 from reports.campaign.forecast import Forecast, Pair
 from workflows.config import ConfigError, Experiment, Selection
 
-# Unmeasured seconds of a step from which a pilot is worth its start.
+# Seconds that unmeasured runs of a step may take, from which a pilot is worth its start.
 PILOT_S = 600.0
 PILOTS = "pilots.json"  # file of the pilots that were begun, next to the needs
 
 
 def unmeasured(step: Forecast) -> list[Pair]:
-    """Return the methods and tests of the next step without a measured run, if they take long."""
+    """Return the methods and tests of the next step without a measured run, if they may take long."""
     return list(step.unmeasured) if sum(step.unmeasured.values()) >= PILOT_S else []
 
 

@@ -49,6 +49,15 @@ def test_a_pilot_runs_two_levels_of_unmeasured_tests(costly):
     assert {run.run_id for run in plan.runs()} < {run.run_id for run in block.runs()}
 
 
+def test_unmeasured_runs_that_are_expected_to_be_short_have_a_pilot_too(costly):
+    """The only known times of the method, in another test, may be far shorter."""
+    known = times("noise")
+    known.cells["mean"] = 1e-3
+    step = known.of_runs(expand(EXPERIMENT, None, NAME, costly.needs).runs())
+    assert step.seconds < 60.0
+    assert unmeasured(step) == [PAIR]
+
+
 def test_measured_and_short_unmeasured_steps_have_no_pilot(costly):
     """Levels between measured ones need none."""
     plan = expand(EXPERIMENT, None, NAME, costly.needs)
