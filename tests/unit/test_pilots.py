@@ -12,6 +12,7 @@ from reports.campaign.choice import Option
 from reports.campaign.forecast import Forecast, Times
 from reports.campaign.pilot import pilots, stored, unmeasured
 from reports.campaign.run import Campaign
+from workflows.archives import runs_of
 from workflows.blocks import Needs
 from workflows.config import ConfigError, load
 from workflows.stages.plan import expand
@@ -132,3 +133,20 @@ def test_a_damaged_file_of_pilots_is_refused(tmp_path, content):
     path.write_text(content)
     with pytest.raises(ConfigError, match=r"pilots\.json: not a list of pilots"):
         stored(path)
+
+
+@pytest.mark.parametrize("name", ["paper2d-40", "paper3d-40"])
+def test_pilots_would_have_forecast_the_archived_parts(name):
+    """Within a factor of 1.5 each that took more than ten minutes."""
+    experiment, runs = load(name), runs_of(name).dropna(subset="time_solve_s")
+    found = {}
+    for pair, part in runs.groupby(["method", "test"]):
+        (pilot,) = pilots([pair], experiment)
+        known = Times.of(
+            [part[part["level"].isin(pilot.levels) & (part["trial"] == 0)]], experiment
+        )
+        expected = sum(known.of_cell(*pair, level)[0] for level in part["level"])
+        if (actual := part["time_solve_s"].sum()) > 600.0:
+            found[pair] = expected / actual
+    assert found
+    assert {pair: ratio for pair, ratio in found.items() if not 1 / 1.5 < ratio < 1.5} == {}
