@@ -313,6 +313,7 @@ def test_nothing_is_begun_once_the_time_is_over(tmp_path, monkeypatch):
 
 
 def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monkeypatch):
+    monkeypatch.setenv("DCREG_ARCHIVES", "")
     begun = []
 
     def interrupted(campaign, claim, *_, **__):

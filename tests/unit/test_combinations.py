@@ -82,7 +82,7 @@ def test_the_tables_have_every_question_mode_and_option():
         (("register", "rigid3d", "paper", "--source-weights"), "in mode 'paper'; use mode 'full'$"),
         (
             ("register", "similarity2d", "paper", "--axis"),
-            "--axis: only rigid3d has an axis; omit axis,",
+            "--axis: only rigid3d has an axis; omit --axis,",
         ),
     ],
 )

@@ -795,11 +795,11 @@ def test_ranges_are_options_of_all_searches(files):
     ("options", "words"),
     [
         (["--source-weights", "w.txt"], "--axis: cannot be combined with weights; omit --axis or"),
-        (["--certificate", "c.npz"], "--certificate: `dcreg verify` .* certificate or --axis$"),
+        (["--certificate", "c.npz"], "--certificate: `dcreg verify` .* --certificate or --axis$"),
         (["--max-angle", "9", "--mode", "paper"], "--axis and --max-angle: mode 'paper' searches"),
         (
             ["--max-angle", "9", "--checkpoint", "c.npz"],
-            "omit checkpoint, or --max-angle and --max-translation$",
+            "omit --checkpoint, or --max-angle and --max-translation$",
         ),
         (["--max-angle", "9", "--model", "similarity3d"], "omit --axis and --max-angle, or"),
     ],
