@@ -266,11 +266,17 @@ def of_rival(both: pd.DataFrame, theirs: pd.DataFrame) -> pd.DataFrame:
 
 
 def limits(quantity: str, table: pd.DataFrame) -> dict[str, bool]:
-    """Return how runs at a limit could change a mean of work, or a ratio if the table is paired."""
-    if quantity not in WORK:
+    """Return how runs at a limit could change a mean, or a ratio if the table is paired.
+
+    Their work could increase, and a wrong pose could become right. The errors at the limit count.
+    """
+    if quantity not in (*WORK, "success"):
         return {}
-    cut = CUT.get(quantity, "limited")
-    flags = {"rises": bool(table[cut].any())}
-    if f"{cut}_rival" in table:
-        flags["falls"] = bool(table[f"{cut}_rival"].any())
+    cut, flags = CUT.get(quantity, "limited"), {}
+    for flag, suffix in (("rises", ""), ("falls", "_rival")):
+        if f"{cut}{suffix}" in table:
+            hit = table[f"{cut}{suffix}"].astype(bool)
+            if quantity == "success":
+                hit &= table[f"success{suffix}"] == 0.0
+            flags[flag] = bool(hit.any())
     return flags

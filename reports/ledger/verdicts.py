@@ -2,7 +2,8 @@
 
 A row is decided by its comparisons: one on the other side refutes it, all on the claimed side reproduce
 it. A claim is decided by its rows in the same way. In the quick part of an experiment a comparison with a
-run at a limit stays open; in a full experiment the answer at the limit counts.
+run at a limit stays open; in a full experiment the answer at the limit counts, unless more time could
+turn the verdict on a success rate.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ from typer.testing import CliRunner
 
 from reports.__main__ import app
 from reports.ledger.evidence import Evidence
-from reports.ledger.finding import CHECKS, STUDY_CHECKS, Source, select
+from reports.ledger.finding import CHECKS, STUDY_CHECKS, Source, limits, select
 from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED
 from workflows.outcomes import comparable_times, is_timed
 
@@ -404,3 +404,14 @@ def test_a_rotation_at_the_limit_does_not_cut_the_translation_search():
 def test_a_method_that_gives_up_early_counts_its_own_time():
     runs = runs_of("paper", time_solve_s=0.01, outcome="failed", rmse=np.nan)
     assert set(evidence(runs).experiments["paper2d"].runs["time"]) == {0.01}
+
+
+def test_wrong_poses_at_a_limit_leave_a_success_rate_open_on_one_side():
+    """More time can make a wrong pose right; what it does to the errors is not known."""
+    table = pd.DataFrame({"success": [1.0, 0.0, 1.0], "limited": [True, False, False]})
+    assert limits("success", table) == {"rises": False}
+    wrong = table.assign(limited=[False, True, False])
+    assert limits("success", wrong) == {"rises": True}
+    rival = wrong.add_suffix("_rival")
+    assert limits("success", pd.concat([table, rival], axis=1)) == {"rises": False, "falls": True}
+    assert limits("error", wrong) == {}
