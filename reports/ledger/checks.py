@@ -95,6 +95,7 @@ def value(source: Source, p: Parameters) -> Finding:
                 between: intervals.Extremes | None = None
                 if is_share:
                     found: intervals.Estimate = intervals.share(values)
+                    flags = limits(quantity, part)
                 elif statistic == "median" and quantity in WORK:
                     found = intervals.median(values)
                     longest = intervals.median(np.where(part["limited"], np.inf, values))

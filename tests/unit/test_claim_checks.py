@@ -415,3 +415,18 @@ def test_wrong_poses_at_a_limit_leave_a_success_rate_open_on_one_side():
     rival = wrong.add_suffix("_rival")
     assert limits("success", pd.concat([table, rival], axis=1)) == {"rises": False, "falls": True}
     assert limits("error", wrong) == {}
+
+
+def test_no_wrong_pose_at_a_limit_refutes_a_success_rate(monkeypatch):
+    source = Source.__new__(Source)
+    runs = pd.DataFrame(
+        {"success": [0.0] * 40, "limited": True, "method": "name", "test": "noise", "level": 0.1,
+         "run_id": [str(number) for number in range(40)], "instance_id": range(40)}
+    )  # fmt: skip
+    settings = {"methods": ["any"], "quantity": "success", "claimed": {"at_least": 0.9}}
+    monkeypatch.setattr(Source, "runs", lambda *_: [("name", runs)])
+    (part,) = CHECKS["value"](source, settings).parts
+    assert part.rises
+    monkeypatch.setattr(Source, "runs", lambda *_: [("name", runs.assign(limited=False))])
+    (part,) = CHECKS["value"](source, settings).parts
+    assert not part.rises
