@@ -65,11 +65,9 @@ class CountBound(SpaceBound[Any]):
     def of(cls, setup: Setup, budget: Budget, distance: float, most: int) -> CountBound:
         """Return the bound for the largest of the problems, in normalised units."""
         normalised = setup.normalised(-1, budget)
+        kernel = _KERNELS[setup.mode.model, setup.mode.name]
         space, given = space_of(setup.mode, normalised), setup.problems[-1]
-        kernel, bits = (
-            _KERNELS[setup.mode.model, setup.mode.name],
-            last_bits(given.source, given.target),
-        )
+        bits = last_bits(given.source, given.target)
         reach = (distance * (1.0 + _ROUNDING) + bits) / setup.frame.unit
         roots, threads = _roots(space, reach), normalised.threads
         return cls(space, roots, threads, kernel, reach + _ROUNDING**1.5, most)

@@ -132,10 +132,16 @@ class Times:
         return self.limits[method], False
 
 
+def seconds_of(runs: pd.DataFrame) -> pd.Series:
+    """Return the CPU seconds of runs, those of the harness included; NaN if they have none."""
+    return runs["time_solve_s"].astype(float) + runs["time_overhead_s"].fillna(0.0).astype(float)
+
+
 def _cells(runs: pd.DataFrame) -> pd.DataFrame:
     """Return number, mean, median and 90th percentile of the seconds of each cell."""
-    seconds = runs["time_solve_s"].astype(float) + runs["time_overhead_s"].fillna(0.0).astype(float)
-    grouped = runs.assign(seconds=seconds).dropna(subset="seconds").groupby(CELL)["seconds"]
+    grouped = (
+        runs.assign(seconds=seconds_of(runs)).dropna(subset="seconds").groupby(CELL)["seconds"]
+    )
     return grouped.agg(["size", "mean", "median"]).assign(p90=grouped.quantile(0.9))
 
 

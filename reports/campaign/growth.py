@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pandas as pd
 
+from reports.campaign.forecast import seconds_of
 from reports.ledger.book import Ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.intervals import NOT_RUN, OPEN
@@ -42,8 +43,7 @@ def changes(table: pd.DataFrame) -> list[str]:
 def _parts(tables: Tables) -> Iterator[tuple[float, Tables]]:
     """Yield the tables of the first blocks with their hours: 1, 2, 4, … and all."""
     runs = tables.runs
-    seconds = runs["time_solve_s"].fillna(0.0) + runs["time_overhead_s"].fillna(0.0)
-    spent = seconds.astype(float).groupby(runs["trial"]).sum().cumsum() / 3600.0
+    spent = seconds_of(runs).groupby(runs["trial"]).sum().cumsum() / 3600.0
     whole, hours = float(spent.iloc[-1]), 1.0
     while hours < whole:
         if len(trials := spent.index[spent <= hours]):

@@ -42,7 +42,7 @@ def store(parts: Sequence[Selection], path: Path) -> None:
         file.write_text(json.dumps([part.model_dump() for part in parts]), encoding="utf-8")
 
 
-def stored(path: Path) -> list[Selection]:
+def begun(path: Path) -> list[Selection]:
     """Return the pilots that were begun and have not ended.
 
     Raises

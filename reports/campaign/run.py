@@ -18,9 +18,9 @@ from rich.table import Table
 from baselines import registry
 from reports.archive.read import restore
 from reports.campaign.choice import Option, options
-from reports.campaign.forecast import TIMED, Forecast, Pair, Times, bytes_per_run
+from reports.campaign.forecast import TIMED, Forecast, Pair, Times, bytes_per_run, seconds_of
 from reports.campaign.growth import changes, verdicts
-from reports.campaign.pilot import PILOTS, pilots, store, stored, unmeasured
+from reports.campaign.pilot import PILOTS, begun, pilots, store, unmeasured
 from reports.ledger.book import Ledger, ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.judging import Judgement, judge
@@ -86,11 +86,12 @@ class Campaign:
                 return
 
     def _adopt_tables(self, archive: Path) -> None:
+        if (self.folder / "tables").exists():
+            return
         self.folder.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(dir=self.folder) as place:
             (tables,) = restore(archive, Path(place), only=self.experiment.name)
-            if not (self.folder / "tables").exists():
-                tables.rename(self.folder / "tables")
+            tables.rename(self.folder / "tables")
 
     def plan(self) -> Plan:
         """Return the plan of all blocks so far."""
@@ -115,7 +116,7 @@ class Campaign:
         """
         tables = self.tables()
         quick = self.folder.parent.with_name(f"{self.experiment.name}{QUICK}") / "tables"
-        known = [self.ended(), self.stored]
+        known = [self.ended(), self.archived_runs]
         if (quick / "accounting.csv").is_file():
             known.append(Times.as_limited(Tables.load(quick).runs, self.experiment))
         if (others := runs_of_others(self.experiment.name)) is not None:
@@ -131,7 +132,7 @@ class Campaign:
         return {spec.instance_id: spec for chunk in chunks for spec in chunk.instances}
 
     @cached_property
-    def stored(self) -> pd.DataFrame:
+    def archived_runs(self) -> pd.DataFrame:
         """The runs in the latest archive that has some."""
         runs = runs_of(self.experiment.name)
         return pd.DataFrame(columns=["run_id", *TIMED]) if runs is None else runs
@@ -155,7 +156,7 @@ class Campaign:
         return pd.DataFrame(rows, columns=["run_id", *TIMED])
 
     @cached_property
-    def archived(self) -> set[str]:
+    def archived_ids(self) -> set[str]:
         """The run_ids of archived runs of the present versions of the methods."""
         return {
             run_id
@@ -176,7 +177,7 @@ class Campaign:
 
     def done(self) -> set[str]:
         """Return the run_ids of all results, also of an interrupted block or a pilot."""
-        return self.shown() | set(self.ended()["run_id"]) | self.archived
+        return self.shown() | set(self.ended()["run_id"]) | self.archived_ids
 
     def is_behind(self) -> bool:
         """Tell whether the tables lack needed runs, which may have ended."""
@@ -261,7 +262,7 @@ def _finish_blocks(campaigns: Iterable[Campaign], run: Callable[..., bool]) -> b
 
 def _run_pilots(campaign: Campaign, claim: str, run: Callable[..., bool]) -> bool:
     """Run the stored pilots; return whether they ended in time."""
-    for part in stored(campaign.pilots_path):
+    for part in begun(campaign.pilots_path):
         rest = campaign.forecast(expand(campaign.experiment, part))
         if rest.runs and not run(campaign, claim, rest, part):
             return False
@@ -309,7 +310,7 @@ def _run(
         return _stopped(code, end, console)
     ended = campaign.ended()
     new = ended[~ended["run_id"].isin(before)]
-    actual = float(new[["time_solve_s", "time_overhead_s"]].sum().sum())
+    actual = float(seconds_of(new).sum())
     _append(
         out / LOG,
         {

@@ -26,6 +26,8 @@ Parameters = Mapping[str, Any]
 GROUPING = ("test", "level")  # the default of ``by``
 # Quantities of which a run at a limit shows only the minimum.
 WORK = ("time", "n_nodes", "n_assignments", "translation_time", "translation_nodes")
+# Share -> how more time can change it, and the value of the runs that it can change.
+MORE_TIME = {"success": ("rises", 0.0), "search_error": ("falls", 1.0)}
 FEWER_POINTS = "searches of fewer points than in the whole experiment take less time"
 # Quantity -> the least that it can be (`Experiment.runs`), and whether a limit cut it.
 LEAST = {"time": "translation_time"}
@@ -266,17 +268,17 @@ def of_rival(both: pd.DataFrame, theirs: pd.DataFrame) -> pd.DataFrame:
 
 
 def limits(quantity: str, table: pd.DataFrame) -> dict[str, bool]:
-    """Return how runs at a limit could change a mean, or a ratio if the table is paired.
+    """Return how runs at a limit could change a mean, or a ratio of work if the table is paired.
 
-    Their work could increase, and a wrong pose could become right. The errors at the limit count.
+    With more time, work increases, and a wrong pose can become right. The errors at the limit count.
     """
-    if quantity not in (*WORK, "success"):
+    if quantity in MORE_TIME:
+        flag, before = MORE_TIME[quantity]
+        return {flag: bool((table["limited"].astype(bool) & (table[quantity] == before)).any())}
+    if quantity not in WORK:
         return {}
-    cut, flags = CUT.get(quantity, "limited"), {}
-    for flag, suffix in (("rises", ""), ("falls", "_rival")):
-        if f"{cut}{suffix}" in table:
-            hit = table[f"{cut}{suffix}"].astype(bool)
-            if quantity == "success":
-                hit &= table[f"success{suffix}"] == 0.0
-            flags[flag] = bool(hit.any())
+    cut = CUT.get(quantity, "limited")
+    flags = {"rises": bool(table[cut].any())}
+    if f"{cut}_rival" in table:
+        flags["falls"] = bool(table[f"{cut}_rival"].any())
     return flags

@@ -10,7 +10,7 @@ import pytest
 from reports.campaign import run
 from reports.campaign.choice import Option
 from reports.campaign.forecast import Forecast, Times
-from reports.campaign.pilot import pilots, stored, unmeasured
+from reports.campaign.pilot import begun, pilots, unmeasured
 from reports.campaign.run import Campaign
 from workflows.archives import runs_of
 from workflows.blocks import Needs
@@ -132,7 +132,7 @@ def test_a_damaged_file_of_pilots_is_refused(tmp_path, content):
     path = tmp_path / "pilots.json"
     path.write_text(content)
     with pytest.raises(ConfigError, match=r"pilots\.json: not a list of pilots"):
-        stored(path)
+        begun(path)
 
 
 @pytest.mark.parametrize("name", ["paper2d-40", "paper3d-40"])

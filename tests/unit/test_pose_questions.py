@@ -17,8 +17,8 @@ from dcreg.driver.options import Limits, SolveOptions
 from dcreg.driver.solve import Setup
 from dcreg.families.rigid3d.space import Rigid3D
 from dcreg.problem import Problem, apply_pose, largest_matching
-from dcreg.problem.geometry import fit_pose
-from dcreg.questions import inliers
+from dcreg.problem.geometry import fit_pose, last_bits, rms_radius
+from dcreg.questions import inliers, other_poses
 from dcreg.questions.certify import _percent_above
 from dcreg.questions.counting import CountBound
 from dcreg.result_parts import Stage
@@ -889,6 +889,33 @@ def test_an_attainable_residual_is_not_refuted_by_the_rounding_of_a_far_point(se
         for factor in (1 + 1e-6, 0.5)
     ]  # fmt: skip
     assert status == [dcreg.Status.CONVERGED, dcreg.Status.REFUTED]
+
+
+def test_other_questions_exclude_poses_only_beyond_the_rounding_of_the_coordinates(monkeypatch):
+    """The clouds are far from the origin, so their last bits are large."""
+    source = SOURCE + 1e6
+    bits, tolerances, reaches = last_bits(source, TARGET), [], []
+    unit = rms_radius(TARGET)
+    kept = other_poses.Tolerance, CountBound.__init__
+
+    def tolerance(**given):
+        tolerances.append(given)
+        return kept[0](**given)
+
+    def count_bound(self, space, roots, threads, kernel, reach, most):
+        reaches.append(reach)
+        kept[1](self, space, roots, threads, kernel, reach, most)
+
+    monkeypatch.setattr(other_poses, "Tolerance", tolerance)
+    monkeypatch.setattr(CountBound, "__init__", count_bound)
+    k = KEYWORDS["n_inliers"]
+    dcreg.alternatives(source, TARGET, **KEYWORDS, node_limit=200)
+    for given in tolerances:
+        one_residual = 2.0 * np.sqrt(k * given["target"]) * bits / unit
+        assert given["margin"] >= one_residual > 0.0
+    assert tolerances
+    dcreg.max_inliers(source, TARGET, distance=1e-9, model=KEYWORDS["model"], time_limit=2.0)
+    assert min(reaches) * unit > 1e-9 + 0.99 * bits
 
 
 @pytest.mark.parametrize(("max_rms", "status"), [(1.0, "converged"), (0.01, "time_limit")])
