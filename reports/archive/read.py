@@ -25,7 +25,7 @@ from workflows.archives import (
     readable,
 )  # fmt: skip
 from workflows.blocks import NEEDS
-from workflows.integrity import digest
+from workflows.integrity import digest, sealed_file
 from workflows.stages.aggregate import accounting
 from workflows.stages.clouds import CLOUDS
 
@@ -103,7 +103,8 @@ def _restore_one(stored: Path, runs: pd.DataFrame, events: pd.DataFrame, tables:
     overlays = gzip.decompress((stored / "overlays.json.gz").read_bytes())
     (tables / "overlays.json").write_bytes(overlays)
     if (stored / CLOUDS).is_file():  # earlier archives have none
-        shutil.copyfile(stored / CLOUDS, tables / CLOUDS)
+        with sealed_file(tables / CLOUDS) as part:
+            shutil.copyfile(stored / CLOUDS, part)
     if (stored / NEEDS).is_file():
         shutil.copyfile(stored / NEEDS, tables.with_name(NEEDS))
 

@@ -1,25 +1,70 @@
-"""Choose the next block: the claim that is expected to be decided in the shortest time."""
+"""Choose the next block: of the claim that is expected to be decided in the shortest time.
+
+A claim consists of comparisons. One on the other side refutes it, and all on the claimed side reproduce
+it. So the comparisons of a claim are run one after the other: first one that is expected to refute it,
+else the one that takes the shortest time.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pandas as pd
 
 from baselines import registry
 from reports.campaign.forecast import Forecast, Times
-from reports.ledger.book import Claim, Ledger, roles_of
+from reports.ledger.book import Claim, Ledger
 from reports.ledger.evidence import methods_in
-from reports.ledger.intervals import MIN_INSTANCES, MOST_NEEDED, NOT_RUN, OPEN
+from reports.ledger.finding import CHECKS, SHARED, on_axes, select
+from reports.ledger.intervals import MIN_INSTANCES, MOST_NEEDED, NOT_RUN, OPEN, p_values
 from reports.ledger.judging import Judgement
-from reports.ledger.verdicts import FEW, WIDE
+from reports.ledger.verdicts import FEW, WIDE, Decided
 from reports.theme import words
 from workflows.blocks import Needs
+from workflows.config import Experiment, Selection
 from workflows.stages.plan import Plan, PlannedRun, expand
 
 # A step has several blocks if they are expected to take less time: planning, judging and the tables take
 # about a minute per step.
 STEP_S = 300.0
+NO_METHODS = "the experiment has none of the methods that the claim compares"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The methods that a check compares in a test, or in several tests together.
+
+    Attributes
+    ----------
+    tests, methods : tuple of str
+    least : int
+        Blocks with the minimum number of instances for a decision.
+    can_refute : bool
+        Whether the other side refutes the claim, whatever the other comparisons show.
+    """
+
+    tests: tuple[str, ...]
+    methods: tuple[str, ...]
+    least: int
+    can_refute: bool = True
+
+    def __str__(self) -> str:
+        return f"{', '.join(map(words, self.tests))}: {', '.join(self.methods)}"
+
+    def more(self, needs: Needs, blocks: int) -> Needs:
+        """Return needs with further blocks of this comparison."""
+        for test in self.tests:
+            for _ in range(blocks):
+                needs = needs.with_block(test, self.methods)
+        return needs
+
+    def blocks_in(self, needs: Needs) -> int:
+        return min(needs.of_all(test, self.methods) for test in self.tests)
 
 
 @dataclass(frozen=True)
@@ -29,27 +74,64 @@ class Option:
     Attributes
     ----------
     claim : str
+    comparison : Comparison or None
+        The one to run next; None if the experiment has none of the methods.
     needs : Needs
         The blocks after its next step, which has one block or several short ones.
     step, block : Forecast
         Of the runs of the next step without a result, and of all runs of the next block.
     blocks : int
-        Number of further blocks that are expected to decide the claim.
+        Number of further blocks that are expected to decide the comparison.
+    seconds : float
+        The expected time until the claim is decided.
     obstacle : str
         Why more blocks do not help.
     """
 
     claim: str
+    comparison: Comparison | None
     needs: Needs
     step: Forecast
     block: Forecast
     blocks: int
+    seconds: float
     obstacle: str = ""
+
+
+@dataclass(frozen=True)
+class _Open:
+    """An open comparison."""
+
+    comparison: Comparison
+    block: Forecast
+    blocks: int
+    obstacle: str
+    refutes: bool  # its figure lies on the other side
 
     @property
     def seconds(self) -> float:
-        """The expected time until the claim is decided."""
         return self.blocks * self.block.seconds
+
+
+@dataclass(frozen=True)
+class _State:
+    """What is known before the next block."""
+
+    plan: Plan
+    times: Times
+    trials: int
+    done: Set[str]
+
+    @property
+    def needs(self) -> Needs:
+        return self.plan.needs or Needs({})
+
+    def ahead(self, comparison: Comparison, blocks: int) -> tuple[Needs, list[PlannedRun]]:
+        """Return the needs with further blocks, and the runs that they add."""
+        needs, plan = comparison.more(self.needs, blocks), self.plan
+        earlier = {run.run_id for run in plan.runs()}
+        runs = expand(plan.experiment, plan.selection, plan.config, needs).runs()
+        return needs, [run for run in runs if run.run_id not in earlier]
 
 
 def options(
@@ -66,8 +148,9 @@ def options(
     `done` take no more time, such as those of a pilot.
     """
     claims = {claim.id: claim for claim in book.claims}
+    state = _State(plan, times, trials, done)
     found = [
-        _option(book, claims[each.id], each, plan, times, trials, done)
+        _option(claims[each.id], comparisons(book, claims[each.id], plan), each, state)
         for each in judged
         if each.verdict in (OPEN, NOT_RUN)
     ]
@@ -75,58 +158,80 @@ def options(
 
 
 def _option(
-    book: Ledger,
-    claim: Claim,
-    found: Judgement,
-    plan: Plan,
-    times: Times,
-    trials: int,
-    done: Set[str],
+    claim: Claim, compared: Sequence[Comparison], found: Judgement, state: _State
 ) -> Option:
-    assert plan.needs is not None
-    tests = _methods_of_tests(book, claim, plan)
-    earlier = {run.run_id for run in plan.runs()}
-
-    def ahead(blocks: int) -> tuple[Needs, list[PlannedRun]]:
-        needs = plan.needs or Needs({})
-        for test, methods in tests.items():
-            for _ in range(blocks):
-                needs = needs.with_block(test, methods)
-        runs = expand(plan.experiment, plan.selection, plan.config, needs).runs()
-        return needs, [run for run in runs if run.run_id not in earlier]
-
-    needs, runs = ahead(1)
-    block = times.of_runs(runs)
-    done_of = {
-        words(test): (plan.needs or Needs({})).of_all(test, methods)
-        for test, methods in tests.items()
-    }
-    blocks, obstacle = _blocks(found, done_of)
-    left = trials - min(done_of.values(), default=0)
-    at_once = min(blocks, left, int(STEP_S // max(block.seconds, 1.0)))
-    if at_once > 1 and not obstacle:
-        needs, runs = ahead(at_once)
-    step = times.of_runs(run for run in runs if run.run_id not in done)
-    if not tests:
-        obstacle = "the experiment has none of the methods that the claim compares"
-    elif left <= 0:
-        obstacle = f"all {trials} trials are run"
-    return Option(claim.id, needs, step, block, blocks, obstacle)
+    places = {run.run_id: (run.method.name, run.instance.test) for run in state.plan.runs()}
+    decided = [each for row in found.rows if not row.shown_only for each in row.decided]
+    open_ones = []
+    for comparison in compared:
+        own = [each for each in decided if _belongs(each, comparison, places)]
+        if own and all(each.verdict != OPEN for each in own):
+            continue
+        open_ones.append(_opened(comparison, own, state))
+    refuting = [each for each in open_ones if each.refutes and not each.obstacle]
+    if not open_ones:
+        nothing = Forecast(0, 0.0, 0)
+        return Option(claim.id, None, state.needs, nothing, nothing, 0, 0.0, NO_METHODS)
+    ahead = refuting or open_ones
+    following = min(ahead, key=lambda each: (bool(each.obstacle), each.seconds))
+    seconds = following.seconds if refuting else sum(each.seconds for each in open_ones)
+    obstacle = "" if refuting else next((e.obstacle for e in open_ones if e.obstacle), "")
+    return _stepped(claim.id, following, seconds, obstacle, state)
 
 
-def _blocks(found: Judgement, done_of: Mapping[str, int]) -> tuple[int, str]:
+def _stepped(claim: str, chosen: _Open, seconds: float, obstacle: str, state: _State) -> Option:
+    """Return the next step of a comparison: one block, or several short ones."""
+    left = state.trials - chosen.comparison.blocks_in(state.needs)
+    count = min(chosen.blocks, left, int(STEP_S // max(chosen.block.seconds, 1.0)))
+    needs, runs = state.ahead(chosen.comparison, 1 if obstacle else max(1, count))
+    step = state.times.of_runs(run for run in runs if run.run_id not in state.done)
+    return Option(
+        claim, chosen.comparison, needs, step, chosen.block, chosen.blocks, seconds, obstacle
+    )
+
+
+def _belongs(
+    decided: Decided, comparison: Comparison, places: Mapping[str, tuple[str, str]]
+) -> bool:
+    """Tell whether all runs behind a decision are runs of the comparison."""
+    own = {places[run] for run in decided.part.runs if run in places}
+    return bool(own) and all(
+        method in comparison.methods and test in comparison.tests for method, test in own
+    )
+
+
+def _opened(comparison: Comparison, own: Sequence[Decided], state: _State) -> _Open:
+    """Return how many blocks are expected to decide a comparison, and whether it will refute its claim."""
+    blocks, obstacle = _blocks(own, comparison.blocks_in(state.needs), comparison.least)
+    refuting = [each for each in own if each.verdict == OPEN and _is_refuting(each)]
+    if refuting and comparison.can_refute:
+        blocks, obstacle = min(
+            (_blocks([each], comparison.blocks_in(state.needs), comparison.least) for each in refuting),
+            key=lambda found: (bool(found[1]), found[0]),
+        )  # fmt: skip
+    if comparison.blocks_in(state.needs) >= state.trials:
+        obstacle = f"all {state.trials} trials are run"
+    block = state.times.of_runs(state.ahead(comparison, 1)[1])
+    return _Open(comparison, block, blocks, obstacle, bool(refuting) and comparison.can_refute)
+
+
+def _is_refuting(decided: Decided) -> bool:
+    """Tell whether a figure lies on the other side, and more instances can show that it does."""
+    part = decided.part
+    on_it, on_the_other = p_values(
+        part.estimate, part.claimed, rises=part.rises, falls=part.falls, extremes=part.extremes
+    )
+    return on_the_other < on_it and not part.cannot_refute
+
+
+def _blocks(own: Sequence[Decided], done: int, least: int) -> tuple[int, str]:
     """Return the expected number of further blocks, and why they do not help.
 
-    `done_of` has the blocks of each test, by its words.
+    `done` is the number of blocks so far.
     """
-    open_ones = [
-        each
-        for row in found.rows
-        for each in row.decided
-        if each.verdict == OPEN and not row.shown_only
-    ]
-    if not open_ones:  # no run yet, or something is missing
-        return 1, ""
+    open_ones = [each for each in own if each.verdict == OPEN]
+    if not open_ones:  # no run yet
+        return max(1, least - done), ""
     lacking = [each for each in open_ones if each.why in (FEW, WIDE)]
     if not lacking:
         return 1, open_ones[0].why
@@ -134,30 +239,75 @@ def _blocks(found: Judgement, done_of: Mapping[str, int]) -> tuple[int, str]:
     for each in lacking:
         n, needed = each.part.estimate.n, each.needed
         target = MIN_INSTANCES if needed is None else needed
-        done = max(1, done_of.get(each.part.group) or max(done_of.values(), default=0))
-        counts.append(math.ceil(done * target / max(n, 1)) - done)
-    most = max(counts)
+        counts.append(math.ceil(max(1, done) * target / max(n, 1)) - done)
     if any(each.needed == MOST_NEEDED for each in lacking):
-        return max(1, most), f"an effect so small that it needs more than {MOST_NEEDED} instances"
-    return max(1, most), ""
+        return max(counts), f"an effect so small that it needs more than {MOST_NEEDED} instances"
+    return max(1, *counts), ""
 
 
-def _methods_of_tests(book: Ledger, claim: Claim, plan: Plan) -> dict[str, list[str]]:
-    """Return the methods that the judged checks of a claim compare, by test."""
-    tests = list(dict.fromkeys(test for entry in plan.experiment.datasets for test in entry.tests))
+def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
+    """Return the comparisons that decide a claim, those without methods in the plan left out."""
     settings = [
         (method.name, method.baseline, registry.effective_options(method.baseline, method.options),
          method.n_inliers_ratio)
         for method in plan.methods
     ]  # fmt: skip
-    found: dict[str, list[str]] = {}
+    first = _first_block(plan.experiment)
+    found: dict[tuple[tuple[str, ...], tuple[str, ...]], Comparison] = {}
     for check in claim.checks:
         if check.get("shown_only"):
             continue
-        names = [
-            name for role in roles_of(check) for name in methods_in(book.roles[role], settings)
-        ]
-        for test in check.get("tests", tests) if names else ():
-            if test in tests:
-                found[test] = list(dict.fromkeys([*found.get(test, []), *names]))
-    return found
+        can_refute = not check.get("any")
+        for tests, roles in product(_tests(check, first), _roles(check)):
+            filled = [methods_in(book.roles[role], settings) for role in roles]
+            if not all(filled):
+                continue
+            names = tuple(dict.fromkeys(name for each in filled for name in each))
+            least = math.ceil(MIN_INSTANCES / _instances(check, first, tests, book.axes))
+            known = found.get((tests, names))
+            if known is not None:
+                least, can_refute = max(least, known.least), can_refute or known.can_refute
+            found[tests, names] = Comparison(tests, names, least, can_refute)
+    return list(found.values())
+
+
+def _roles(check: Mapping[str, Any]) -> Iterator[list[str]]:
+    """Yield the roles of each comparison of a check: each method with each rival."""
+    always: list[str] = []
+    for key in ("subject", "reference", "rival"):
+        always += [check[key]] if isinstance(check.get(key), str) else check.get(key, [])
+    for one, other in product(check.get("methods", [None]), check.get("rivals", [None])):
+        yield [*always, *(role for role in (one, other) if role is not None)]
+
+
+def _tests(check: Mapping[str, Any], first: pd.DataFrame) -> list[tuple[str, ...]]:
+    """Return the tests of a check one by one, or together if one figure is about all of them."""
+    every = list(first["test"].unique())
+    tests = [test for test in check.get("tests", every) if test in every]
+    if "test" in check.get("by", CHECKS[check["kind"]].by):
+        return [(test,) for test in tests]
+    return [tuple(tests)] if tests else []
+
+
+def _first_block(experiment: Experiment) -> pd.DataFrame:
+    """Return a row per instance of the first block of each test."""
+    chunks = expand(experiment, Selection(trials=[0])).chunks
+    rows = [
+        (spec.dataset, spec.shape, spec.test, spec.level, spec.trial, "")
+        for chunk in chunks
+        for spec in chunk.instances
+    ]
+    return pd.DataFrame(rows, columns=[*SHARED[:2], "test", "level", "trial", "method"])
+
+
+def _instances(
+    check: Mapping[str, Any], first: pd.DataFrame, tests: Sequence[str], axes: Mapping[str, float]
+) -> int:
+    """Return how many instances of a block the figure with the fewest has."""
+    kind = CHECKS[check["kind"]]
+    table = select(on_axes(first, check, axes), "", {**check, "tests": tests, "where": {}})
+    if kind.per_trial:
+        table = table.drop_duplicates([*SHARED, "test"]).drop(columns="level")
+    by = [column for column in check.get("by", kind.by) if column in table]
+    counts = table.groupby(by).size() if by else np.array([len(table)])
+    return max(1, int(counts.min())) if len(table) else 1

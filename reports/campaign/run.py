@@ -363,11 +363,14 @@ def _print(
 ) -> None:
     """Print the verdicts, and what the open claims need."""
     by_claim = {option.claim: option for option in ahead}
-    table = Table("claim", "verdict", "further blocks", "hours of CPU", "obstacle")
+    table = Table("claim", "verdict", "hours of CPU", "next comparison", "its blocks", "obstacle")
     for campaign in campaigns.values():
         for found in campaign.judged(book):
             row = [found.id, found.verdict]
             if option := by_claim.get(found.id):
-                row += [str(option.blocks), f"{option.seconds / 3600:.1f}", option.obstacle]
+                row += [
+                    f"{option.seconds / 3600:.1f}", str(option.comparison or ""),
+                    str(option.blocks), option.obstacle,
+                ]  # fmt: skip
             table.add_row(*row)
     console.print(table)

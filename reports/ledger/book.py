@@ -12,7 +12,7 @@ import yaml
 
 from reports.ledger import checks, checks_study, checks_work  # noqa: F401 (register the kinds)
 from reports.ledger.evidence import Role
-from reports.ledger.finding import CHECKS, STUDY_CHECKS
+from reports.ledger.finding import CHECKS
 from reports.tables import ReportError
 
 LEDGER = Path(__file__).parents[1] / "claims.yaml"
@@ -85,7 +85,7 @@ class Ledger:
 
 def roles_of(entry: Mapping[str, Any]) -> Iterator[str]:
     """Yield the roles that a check over runs names."""
-    if entry["kind"] in STUDY_CHECKS:
+    if CHECKS[entry["kind"]].of_study:
         return
     for names in (entry.get(key, []) for key in _ROLES):
         yield from [names] if isinstance(names, str) else names

@@ -134,7 +134,7 @@ def _allowance(means: np.ndarray) -> np.ndarray:
     return np.minimum(over_fit, excess / LOW_EXCESS)
 
 
-@check("rise")
+@check("rise", by=("test",), per_trial=True)
 def rise(source: Source, p: Parameters) -> Finding:
     """Error at the highest level over the error at the lowest one, paired by trial.
 
@@ -170,7 +170,7 @@ def _steepest(means: np.ndarray) -> np.ndarray:
 Statistic = Callable[[np.ndarray], np.ndarray]
 
 
-@check("slope")
+@check("slope", by=("test",), per_trial=True)
 def slope(source: Source, p: Parameters) -> Finding:
     """Slope of the mean error over the level; with ``rivals``, minus theirs, paired by trial.
 
@@ -179,7 +179,7 @@ def slope(source: Source, p: Parameters) -> Finding:
     quantity = p.get("quantity", "error")
     finding = Finding(f"slope of mean {titled(quantity, unit=False)} over level")
     finding.figure += ", minus the rival's" * bool(p.get("rivals"))
-    by = p.get("by", ["test"])
+    by = list(p["by"])
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
             if not p.get("rivals"):
@@ -220,7 +220,7 @@ def _slopes(table: pd.DataFrame) -> tuple[Statistic, np.ndarray]:
     return of, columns
 
 
-@check("scatter")
+@check("scatter", by=("test",), per_trial=True)
 def scatter(source: Source, p: Parameters) -> Finding:
     """Standard deviation of the error over the trials of a level, over the rival's."""
     quantity = p.get("quantity", "error")

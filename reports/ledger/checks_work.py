@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 NO_BOUND = 1.0 - 1e-9
 
 
-@check("trend")
+@check("trend", by=("test",), per_trial=True)
 def trend(source: Source, p: Parameters) -> Finding:
     """Spearman's rank correlation of work with the level.
 
@@ -84,7 +84,7 @@ def _correlation(means: np.ndarray) -> np.ndarray:
     return np.divide(xy - x * y, below, out=np.zeros_like(xy), where=below > 0)
 
 
-@check("race")
+@check("race", by=("test",))
 def race(source: Source, p: Parameters) -> Finding:
     """Ratio of time, or assignments, to the smallest relative gap that both searches reached.
 
@@ -114,7 +114,7 @@ def race(source: Source, p: Parameters) -> Finding:
             instances = f"{count} of {len(both)} instances"
             finding.miss(f"a bound above 0 of {name} or {rival} for {instances}")
         both = both.dropna(subset=columns)
-        for place, part in groups(both, {"by": p.get("by", ["test"])}):
+        for place, part in groups(both, p):
             found = intervals.ratio(part["mine"].to_numpy(), part["other"].to_numpy())
             finding.add(
                 (name, rival), place, found, p["claimed"], part, of_rival(part, theirs),
@@ -162,7 +162,7 @@ def _work_to_equal_gap(
     return (*work, *late)
 
 
-@check("regret")
+@check("regret", by=("test",))
 def regret(source: Source, p: Parameters) -> Finding:
     """Share of the instances certified by a reference whose optimum the subject reaches.
 
@@ -179,7 +179,7 @@ def regret(source: Source, p: Parameters) -> Finding:
             both = both.assign(within=within.astype(float))
             if both.empty:
                 finding.miss(f"runs that {against} certified")
-            for place, part in groups(both, {"by": p.get("by", ["test"])}):
+            for place, part in groups(both, p):
                 missed = part["limited"].astype(bool) & (part["within"] == 0)
                 finding.add(
                     (name, against), place, intervals.share(part["within"].to_numpy()),
@@ -188,7 +188,7 @@ def regret(source: Source, p: Parameters) -> Finding:
     return finding
 
 
-@check("sensitivity")
+@check("sensitivity", by=("test",))
 def sensitivity(source: Source, p: Parameters) -> Finding:
     """Factor by which the cost changes between two priors, over the same factor of a rival.
 

@@ -10,7 +10,7 @@ of the verdict); and ``cannot_refute`` (why a figure on the other side leaves th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -126,9 +126,9 @@ class Source:
         """Yield name and selected runs of every method in a role; note a role without any."""
         assert self.experiment is not None
         labels = self.experiment.methods_in(self.roles[role])
-        for what in _absent(self._on_axes(self.experiment.cells, p), p):
+        for what in _absent(on_axes(self.experiment.cells, p, self.axes), p):
             finding.miss(what)
-        tried = {label: self._on_axes(self.experiment.of_method(label), p) for label in labels}
+        tried = {label: on_axes(self.experiment.of_method(label), p, self.axes) for label in labels}
         chosen = [(label, select(runs, label, p)) for label, runs in tried.items()]
         filled = [(label, runs) for label, runs in chosen if len(runs)]
         title = self.roles[role].title
@@ -142,12 +142,6 @@ class Source:
         for label, runs in filled:
             yield names[label], runs
 
-    def _on_axes(self, runs: pd.DataFrame, p: Parameters) -> pd.DataFrame:
-        """Return the runs at the levels that the paper shows, or all if a check lists levels."""
-        if isinstance(p.get("levels"), list):
-            return runs
-        return runs[runs["level"] <= runs["test"].map(self.axes).fillna(np.inf)]
-
     def pairs(
         self, p: Parameters, finding: Finding
     ) -> Iterator[tuple[str, pd.DataFrame, str, pd.DataFrame]]:
@@ -159,17 +153,31 @@ class Source:
 
 
 Check = Callable[[Source, Parameters], Finding]
-CHECKS: dict[str, Check] = {}
-STUDY_CHECKS: set[str] = set()  # checks of the study of bounds
 
 
-def check(name: str, *, of_study: bool = False) -> Callable[[Check], Check]:
+@dataclass(frozen=True)
+class Kind:
+    """A kind of check."""
+
+    function: Check
+    by: Sequence[str] = GROUPING  # the columns of its comparisons if a claim names none
+    per_trial: bool = False  # all levels of a trial are one instance
+    of_study: bool = False  # of the study of bounds
+
+    def __call__(self, source: Source, p: Parameters) -> Finding:
+        return self.function(source, {"by": self.by, **p})
+
+
+CHECKS: dict[str, Kind] = {}
+
+
+def check(
+    name: str, *, by: Sequence[str] = GROUPING, per_trial: bool = False, of_study: bool = False
+) -> Callable[[Check], Check]:
     """Register a kind of check."""
 
     def register(function: Check) -> Check:
-        CHECKS[name] = function
-        if of_study:
-            STUDY_CHECKS.add(name)
+        CHECKS[name] = Kind(function, by, per_trial, of_study)
         return function
 
     return register
@@ -216,6 +224,13 @@ def _absent(runs: pd.DataFrame, p: Parameters) -> Iterator[str]:
                 yield f"level {level:g}"
 
 
+def on_axes(runs: pd.DataFrame, p: Parameters, axes: Mapping[str, float]) -> pd.DataFrame:
+    """Return the runs at the levels that the paper shows, or all if a check lists levels."""
+    if isinstance(p.get("levels"), list):
+        return runs
+    return runs[runs["level"] <= runs["test"].map(axes).fillna(np.inf)]
+
+
 def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
     """Return the runs of a method in the tests and levels of a check."""
     part = runs[
@@ -240,7 +255,7 @@ def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
 
 def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[tuple[str, str], pd.DataFrame]]:
     """Yield the parts of a table by the columns of ``by``, each with its place (group, where)."""
-    by = list(p.get("by", GROUPING))
+    by = list(p["by"])
     if not by:
         if len(table):
             yield ("all", ""), table

@@ -21,7 +21,7 @@ from reports.tables import ReportError, Tables
 from workflows import records
 from workflows.archives import ArchiveError, archived
 from workflows.blocks import NEEDS
-from workflows.integrity import digest
+from workflows.integrity import digest, set_aside_damaged
 from workflows.stages.clouds import CLOUDS
 
 
@@ -52,6 +52,7 @@ def test_restored_tables_are_those_of_the_results(results, archive, tmp_path):
         assert_frame_equal(stored.traces, writing.thinned(original.traces))
         assert (stored.provenance, stored.overlays) == (original.provenance, original.overlays)
         assert drawn_clouds.of_instances(stored) == drawn_clouds.of_instances(original)
+    assert set_aside_damaged(tmp_path) == []
     study = pd.read_csv(tmp_path / "bounds" / "boxes.csv")
     assert_frame_equal(study, pd.read_csv(results / "bounds" / "boxes.csv"))
 

@@ -123,7 +123,7 @@ def test_methods_that_are_not_installed_take_no_time(monkeypatch):
 def costly():
     """An option."""
     step = Forecast(24, 5000.0, 12)
-    return Option("claim", NONE, step, step, 1)
+    return Option("claim", None, NONE, step, step, 1, step.seconds)
 
 
 @pytest.mark.parametrize("left_s", [1.0, 10000.0])
@@ -184,9 +184,11 @@ def test_every_claim_about_the_experiment_has_a_next_block(unseen):
         assert not option.obstacle
 
 
-def test_a_block_has_the_methods_that_its_claim_compares_and_no_others(unseen):
+def test_a_block_has_the_methods_of_one_comparison_and_no_others(unseen):
     low = next(option for option in unseen if option.claim == "low-inlier")
-    assert set(low.needs.trials) == {"mixed_outliers", "separate_outliers"}
+    assert (
+        set(low.needs.trials) == set(low.comparison.tests) < {"mixed_outliers", "separate_outliers"}
+    )
     methods = {name for own in low.needs.trials.values() for name in own}
     assert {EXPERIMENT.method(name).baseline for name in methods} == {"dcreg_paper"}
 
@@ -242,17 +244,23 @@ def test_short_blocks_are_run_together(monkeypatch, share, at_once):
 
     monkeypatch.setattr(choice, "STEP_S", share * low_inlier().block.seconds)
     found = low_inlier()
-    tests = ("mixed_outliers", "separate_outliers")
-    assert {test: max(own.values()) for test, own in found.needs.trials.items()} == dict.fromkeys(
-        tests, at_once
-    )
+    assert {max(own.values()) for own in found.needs.trials.values()} == {at_once}
     assert found.step.runs == at_once * found.block.runs
     assert found.blocks == 7
 
 
-@pytest.mark.parametrize("claim", ["low-inlier", "faster"])
-def test_claims_without_runs_are_open_to_more(unseen, claim):
-    assert next(option for option in unseen if option.claim == claim).blocks == 1
+@pytest.mark.parametrize(
+    ("claim", "blocks"),
+    [
+        ("low-inlier", 10),  # of two shapes each
+        ("occl-stable", 10),  # all levels of a trial are one instance
+        ("faster", 2),  # six levels of two shapes
+        ("bound-explains", 2),
+        ("half-occl", 10),  # a comparison per level
+    ],
+)
+def test_claims_without_runs_need_the_minimum_number_of_instances(unseen, claim, blocks):
+    assert next(option for option in unseen if option.claim == claim).blocks == blocks
 
 
 def test_a_campaign_continues_from_the_blocks_and_tables_of_an_archive(tmp_path, monkeypatch):

@@ -36,7 +36,7 @@ def costly():
     """The option of a claim about a method whose runs in one of two tests are measured."""
     needs = NONE.with_block("noise", ["rpm_pa"]).with_block("deformation", ["rpm_pa"])
     step = Forecast(24, 5000.0, 12, {PAIR: 2400.0})
-    return Option("claim", needs, step, step, 1)
+    return Option("claim", None, needs, step, step, 1, step.seconds)
 
 
 def test_a_pilot_runs_two_levels_of_unmeasured_tests(costly):
