@@ -21,7 +21,7 @@ from reports.campaign.forecast import Forecast, Times
 from reports.ledger.book import Claim, Ledger
 from reports.ledger.evidence import methods_in
 from reports.ledger.finding import CHECKS, SHARED, on_axes, select
-from reports.ledger.intervals import MIN_INSTANCES, MOST_NEEDED, NOT_RUN, OPEN, p_values
+from reports.ledger.intervals import MIN_INSTANCES, MOST_NEEDED, NOT_RUN, OPEN, distance
 from reports.ledger.judging import Judgement
 from reports.ledger.verdicts import FEW, WIDE, Decided
 from reports.theme import words
@@ -100,7 +100,7 @@ class Option:
 
 @dataclass(frozen=True)
 class _Open:
-    """An open comparison."""
+    """An open comparison, and the blocks that are expected to decide it."""
 
     comparison: Comparison
     block: Forecast
@@ -126,9 +126,15 @@ class _State:
     def needs(self) -> Needs:
         return self.plan.needs or Needs({})
 
-    def ahead(self, comparison: Comparison, blocks: int) -> tuple[Needs, list[PlannedRun]]:
-        """Return the needs with further blocks, and the runs that they add."""
-        needs, plan = comparison.more(self.needs, blocks), self.plan
+    def left(self, comparison: Comparison) -> int:
+        """Return how many more blocks of a comparison the experiment has."""
+        return max(0, self.trials - comparison.blocks_in(self.needs))
+
+    def ahead(self, blocks: Mapping[Comparison, int]) -> tuple[Needs, list[PlannedRun]]:
+        """Return the needs with further blocks of comparisons, and the runs that they add."""
+        needs, plan = self.needs, self.plan
+        for comparison, number in blocks.items():
+            needs = comparison.more(needs, number)
         earlier = {run.run_id for run in plan.runs()}
         runs = expand(plan.experiment, plan.selection, plan.config, needs).runs()
         return needs, [run for run in runs if run.run_id not in earlier]
@@ -168,22 +174,25 @@ def _option(
         if own and all(each.verdict != OPEN for each in own):
             continue
         open_ones.append(_opened(comparison, own, state))
-    refuting = [each for each in open_ones if each.refutes and not each.obstacle]
     if not open_ones:
         nothing = Forecast(0, 0.0, 0)
         return Option(claim.id, None, state.needs, nothing, nothing, 0, 0.0, NO_METHODS)
-    ahead = refuting or open_ones
-    following = min(ahead, key=lambda each: (bool(each.obstacle), each.seconds))
-    seconds = following.seconds if refuting else sum(each.seconds for each in open_ones)
-    obstacle = "" if refuting else next((e.obstacle for e in open_ones if e.obstacle), "")
-    return _stepped(claim.id, following, seconds, obstacle, state)
+    refuting = [each for each in open_ones if each.refutes and not each.obstacle]
+    chosen = min(refuting or open_ones, key=lambda each: (bool(each.obstacle), each.seconds))
+    deciding = [chosen] if refuting else open_ones
+    obstacle = next((each.obstacle for each in deciding if each.obstacle), "")
+    # methods that several comparisons share are run once
+    expected = {e.comparison: min(e.blocks, state.left(e.comparison)) for e in deciding}
+    seconds = state.times.of_runs(state.ahead(expected)[1]).seconds
+    return _stepped(claim.id, chosen, seconds, obstacle, state)
 
 
 def _stepped(claim: str, chosen: _Open, seconds: float, obstacle: str, state: _State) -> Option:
     """Return the next step of a comparison: one block, or several short ones."""
-    left = state.trials - chosen.comparison.blocks_in(state.needs)
-    count = min(chosen.blocks, left, int(STEP_S // max(chosen.block.seconds, 1.0)))
-    needs, runs = state.ahead(chosen.comparison, 1 if obstacle else max(1, count))
+    count = min(
+        chosen.blocks, state.left(chosen.comparison), int(STEP_S // max(chosen.block.seconds, 1.0))
+    )
+    needs, runs = state.ahead({chosen.comparison: 1 if obstacle else max(1, count)})
     step = state.times.of_runs(run for run in runs if run.run_id not in state.done)
     return Option(
         claim, chosen.comparison, needs, step, chosen.block, chosen.blocks, seconds, obstacle
@@ -201,27 +210,33 @@ def _belongs(
 
 
 def _opened(comparison: Comparison, own: Sequence[Decided], state: _State) -> _Open:
-    """Return how many blocks are expected to decide a comparison, and whether it will refute its claim."""
-    blocks, obstacle = _blocks(own, comparison.blocks_in(state.needs), comparison.least)
-    refuting = [each for each in own if each.verdict == OPEN and _is_refuting(each)]
-    if refuting and comparison.can_refute:
-        blocks, obstacle = min(
-            (_blocks([each], comparison.blocks_in(state.needs), comparison.least) for each in refuting),
-            key=lambda found: (bool(found[1]), found[0]),
-        )  # fmt: skip
-    if comparison.blocks_in(state.needs) >= state.trials:
-        obstacle = f"all {state.trials} trials are run"
-    block = state.times.of_runs(state.ahead(comparison, 1)[1])
-    return _Open(comparison, block, blocks, obstacle, bool(refuting) and comparison.can_refute)
+    """Return how many blocks are expected to decide a comparison, and which side its figure is on."""
+    done = comparison.blocks_in(state.needs)
+    refuting = [each for each in own if comparison.can_refute and _is_refuting(each)]
+    found = [_blocks([each], done, comparison.least) for each in refuting] or [
+        _blocks(own, done, comparison.least)
+    ]
+    blocks, obstacle = min(found, key=lambda each: (bool(each[1]), each[0]))
+    left = state.left(comparison)
+    if not obstacle and blocks > left:
+        obstacle = f"it needs {done + blocks} trials, and the experiment has {state.trials}"
+    block = state.times.of_runs(state.ahead({comparison: 1})[1])
+    return _Open(comparison, block, blocks, obstacle, bool(refuting))
 
 
 def _is_refuting(decided: Decided) -> bool:
-    """Tell whether a figure lies on the other side, and more instances can show that it does."""
+    """Tell whether an open figure lies on the other side, and more instances can show that it does."""
     part = decided.part
-    on_it, on_the_other = p_values(
-        part.estimate, part.claimed, rises=part.rises, falls=part.falls, extremes=part.extremes
-    )
-    return on_the_other < on_it and not part.cannot_refute
+    ((side, _),) = part.claimed.items()
+    estimate, can_differ = part.estimate, part.rises or part.falls
+    if side in ("below", "at_most"):
+        can_differ = part.falls
+        estimate = part.extremes.least if part.extremes else estimate
+    elif side in ("above", "at_least"):
+        can_differ = part.rises
+        estimate = part.extremes.most if part.extremes else estimate
+    is_open = decided.verdict == OPEN and not part.cannot_refute and not can_differ
+    return is_open and distance(estimate, part.claimed) < 0.0
 
 
 def _blocks(own: Sequence[Decided], done: int, least: int) -> tuple[int, str]:
