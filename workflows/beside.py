@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
 
 from baselines import registry
 from dcreg.problem import suggestion
 from workflows import UserError
 from workflows.archives import archived
-from workflows.blocks import Needs
+from workflows.blocks import Needs, Numbers
 from workflows.stages.plan import Plan
 
 
@@ -39,23 +40,27 @@ def needs_beside(plan: Plan, methods: Sequence[str], known: Needs) -> Needs:
                 f"--methods: experiment {plan.experiment.name} has no method "
                 f"{name!r}{suggestion(name, names)}, nor does `make baselines` list it"
             )
-    trials = {test: dict(own) for test, own in known.trials.items()}
-    for (test, method), count in _archived_blocks(plan, methods).items():
-        own = trials.setdefault(test, {})
-        own[method] = max(own.get(method, 0), count)
-    if not trials:
+    needs = known.joined(_archived_blocks(plan, methods))
+    if not needs.trials:
         raise UserError(
             f"--beside: no archive has a complete block of experiment {plan.experiment.name} with the "
             "current versions of its methods; run it without --beside"
         )
-    needs = Needs(trials)
-    return Needs({
-        test: {**own, **dict.fromkeys(methods, needs.blocks(test))} for test, own in trials.items()
-    })  # fmt: skip
+    for own in list(needs.trials.items()):
+        needs = needs.joined(_same_blocks(*own, methods))
+    return needs
 
 
-def _archived_blocks(plan: Plan, methods: Sequence[str]) -> dict[tuple[str, str], int]:
-    """Return how many first trials of a test are archived completely, by test and other method."""
+def _same_blocks(test: str, own: Mapping[str, Numbers], methods: Sequence[str]) -> Needs:
+    """Return needs in which these methods have all blocks of a test that some method has."""
+    needs = Needs({})
+    for numbers, method in product(own.values(), methods):
+        needs = needs.joined(Needs({test: {method: numbers}}))
+    return needs
+
+
+def _archived_blocks(plan: Plan, methods: Sequence[str]) -> Needs:
+    """Return how many first trials are archived completely, by test, level and other method."""
     stored = {
         method.name: {
             run_id
@@ -65,13 +70,16 @@ def _archived_blocks(plan: Plan, methods: Sequence[str]) -> dict[tuple[str, str]
         for method in plan.methods
         if method.name not in methods
     }
-    missing: dict[tuple[str, str], set[int]] = defaultdict(set)
-    last: dict[tuple[str, str], int] = defaultdict(int)
+    missing: dict[tuple[str, str, str], set[int]] = defaultdict(set)
+    last: dict[tuple[str, str, str], int] = defaultdict(int)
     for run in plan.runs():
         if (name := run.method.name) in stored:
-            key = run.instance.test, name
+            key = run.instance.test, name, f"{run.instance.level:g}"
             last[key] = max(last[key], run.instance.trial + 1)
             if run.run_id not in stored[name]:
                 missing[key].add(run.instance.trial)
-    found = {key: min(missing[key], default=trials) for key, trials in last.items()}
-    return {key: count for key, count in found.items() if count}
+    needs = Needs({})
+    for (test, name, level), trials in last.items():
+        if count := min(missing[test, name, level], default=trials):
+            needs = needs.joined(Needs({test: {name: {level: count}}}))
+    return needs

@@ -1,8 +1,8 @@
 """Blocks of paired instances: the part of an experiment that is run if claims need different trials.
 
-A block consists of all levels and shapes of a test with the same number of trial. `Needs` says how many
-blocks of a test each method is run on. The other methods of a block are planned and not run: their runs
-have the outcome *not needed*.
+A block consists of all shapes of a test with the same number of trial, at the levels that its claim
+compares. `Needs` says how many blocks of a test each method is run on. The other methods of a block are
+planned and not run: their runs have the outcome *not needed*.
 """
 
 from __future__ import annotations
@@ -18,13 +18,16 @@ from workflows.compose import ConfigError
 
 EVIDENCE = "evidence"  # folder of the tables of blocks, in that of their experiment
 NEEDS = "needs.json"  # file of `Needs` in it
+REST = "*"  # all levels that are not named
+
+Numbers = int | Mapping[str, int]  # of trials: at all levels, or by level and `REST`
 
 
 @dataclass(frozen=True)
 class Needs:
-    """The numbers of blocks: test -> method -> number of its trials."""
+    """The numbers of blocks: test -> method -> number of its trials, of all levels or of each."""
 
-    trials: Mapping[str, Mapping[str, int]]
+    trials: Mapping[str, Mapping[str, Numbers]]
 
     @classmethod
     def read(cls, path: Path) -> Needs:
@@ -44,33 +47,66 @@ class Needs:
         with whole_file(path) as part:
             part.write_text(json.dumps(self.trials, indent=1, sort_keys=True), encoding="utf-8")
 
-    def blocks(self, test: str) -> int:
-        """Return the number of blocks of a test that some method needs."""
-        return max(self.trials.get(test, {}).values(), default=0)
+    def of(self, method: str, test: str, level: float) -> int:
+        """Return the number of trials of a method."""
+        return _at(self.trials.get(test, {}).get(method, 0), f"{level:g}")
 
-    def needs(self, method: str, test: str, trial: int) -> bool:
-        return trial < self.trials.get(test, {}).get(method, 0)
-
-    def of_all(self, test: str, methods: Iterable[str]) -> int:
-        """Return the number of blocks of a test that all of these methods have."""
+    def users(self, test: str, level: float, trial: int) -> tuple[str, ...]:
+        """Return the methods that run on a trial of a test."""
         own = self.trials.get(test, {})
-        return min((own.get(method, 0) for method in methods), default=0)
+        return tuple(sorted(method for method in own if trial < self.of(method, test, level)))
 
-    def with_block(self, test: str, methods: Sequence[str]) -> Needs:
+    def of_all(self, test: str, methods: Iterable[str], levels: Sequence[float]) -> int:
+        """Return the number of blocks with these levels of a test that all of these methods have."""
+        numbers = (self.of(method, test, level) for method in methods for level in levels)
+        return min(numbers, default=0)
+
+    def with_block(self, test: str, methods: Sequence[str], levels: Sequence[float]) -> Needs:
         """Return needs in which all of these methods have one more block of a test.
 
         Only those run that do not have it, so a method that skipped blocks starts with the first one.
         """
-        number, own = self.of_all(test, methods) + 1, self.trials.get(test, {})
-        more = {method: max(number, own.get(method, 0)) for method in methods}
-        return Needs({**self.trials, test: {**own, **more}})
+        number = self.of_all(test, methods, levels) + 1
+        more: dict[str, Numbers] = {}
+        for method in methods:
+            own = _by_level(self.trials.get(test, {}).get(method, 0))
+            added = {f"{level:g}": max(number, self.of(method, test, level)) for level in levels}
+            more[method] = {**own, **added}
+        return self.joined(Needs({test: more}))
+
+    def joined(self, other: Needs) -> Needs:
+        """Return needs with the larger number of both, of each test, method and level."""
+        trials = {test: dict(own) for test, own in self.trials.items()}
+        for test, methods in other.trials.items():
+            own = trials.setdefault(test, {})
+            for name, numbers in methods.items():
+                own[name] = _larger(own.get(name, 0), numbers)
+        return Needs(trials)
 
 
-def _checked(content: Any) -> dict[str, dict[str, int]]:
+def _by_level(numbers: Numbers) -> Mapping[str, int]:
+    return {REST: numbers} if isinstance(numbers, int) else numbers
+
+
+def _at(numbers: Numbers, level: str) -> int:
+    own = _by_level(numbers)
+    return own.get(level, own.get(REST, 0))
+
+
+def _larger(one: Numbers, other: Numbers) -> Numbers:
+    levels = sorted({REST, *_by_level(one), *_by_level(other)})
+    found = {level: max(_at(one, level), _at(other, level)) for level in levels}
+    rest = found[REST]
+    named = {level: number for level, number in found.items() if number != rest}
+    return {**named, **({REST: rest} if rest else {})} if named else rest
+
+
+def _checked(content: Any) -> dict[str, dict[str, Numbers]]:
     for test, methods in content.items() if isinstance(content, dict) else [("file", content)]:
         if not isinstance(methods, dict):
             raise ValueError(f"{test} must be a mapping")
-        for method, number in methods.items():
-            if not isinstance(number, int) or number < 0:
-                raise ValueError(f"{test}: {method}: {number!r} is not a number of blocks")
+        for method, numbers in methods.items():
+            for number in numbers.values() if isinstance(numbers, dict) else [numbers]:
+                if not isinstance(number, int) or number < 0:
+                    raise ValueError(f"{test}: {method}: {number!r} is not a number of blocks")
     return content

@@ -387,17 +387,15 @@ def _two_machines(first: Found, second: Found) -> MergeError:
 
 
 def _merge_needs(sources: Sequence[Source], out: Path) -> None:
-    """Join the blocks of collected evidence: of each test and method, the largest number."""
+    """Join the blocks of collected evidence: of each test, method and level, the largest number."""
     from workflows.blocks import EVIDENCE, NEEDS, Needs
 
-    trials: dict[str, dict[str, int]] = {}
+    needs = Needs({})
     for path in (source.needs() for source in sources):
         if path.is_file():
-            for test, methods in Needs.read(path).trials.items():
-                own = trials.setdefault(test, {})
-                own |= {name: max(number, own.get(name, 0)) for name, number in methods.items()}
-    if trials:
-        Needs(trials).write(out / EVIDENCE / NEEDS)
+            needs = needs.joined(Needs.read(path))
+    if needs.trials:
+        needs.write(out / EVIDENCE / NEEDS)
 
 
 @user_errors

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from baselines import registry
@@ -41,30 +40,38 @@ class Comparison:
 
     Attributes
     ----------
-    tests, methods : tuple of str
+    tests : tuple of (str, tuple of float)
+        Each test with the compared levels.
+    methods : tuple of str
     least : int
         Blocks with the minimum number of instances for a decision.
     can_refute : bool
         Whether the other side refutes the claim, whatever the other comparisons show.
     """
 
-    tests: tuple[str, ...]
+    tests: tuple[tuple[str, tuple[float, ...]], ...]
     methods: tuple[str, ...]
     least: int
     can_refute: bool = True
 
     def __str__(self) -> str:
-        return f"{', '.join(map(words, self.tests))}: {', '.join(self.methods)}"
+        tests = (f"{words(test)} {levels[0]:g}–{levels[-1]:g}" for test, levels in self.tests)
+        return f"{', '.join(tests)}: {', '.join(self.methods)}"
+
+    def has(self, run: PlannedRun) -> bool:
+        """Tell whether a run is one of the compared ones."""
+        levels = dict(self.tests).get(run.instance.test, ())
+        return run.method.name in self.methods and run.instance.level in levels
 
     def more(self, needs: Needs, blocks: int) -> Needs:
         """Return needs with further blocks of this comparison."""
-        for test in self.tests:
+        for test, levels in self.tests:
             for _ in range(blocks):
-                needs = needs.with_block(test, self.methods)
+                needs = needs.with_block(test, self.methods, levels)
         return needs
 
     def blocks_in(self, needs: Needs) -> int:
-        return min(needs.of_all(test, self.methods) for test in self.tests)
+        return min(needs.of_all(test, self.methods, levels) for test, levels in self.tests)
 
 
 @dataclass(frozen=True)
@@ -166,11 +173,11 @@ def options(
 def _option(
     claim: Claim, compared: Sequence[Comparison], found: Judgement, state: _State
 ) -> Option:
-    places = {run.run_id: (run.method.name, run.instance.test) for run in state.plan.runs()}
+    planned = {run.run_id: run for run in state.plan.runs()}
     decided = [each for row in found.rows if not row.shown_only for each in row.decided]
     open_ones = []
     for comparison in compared:
-        own = [each for each in decided if _belongs(each, comparison, places)]
+        own = [each for each in decided if _belongs(each, comparison, planned)]
         if own and all(each.verdict != OPEN for each in own):
             continue
         open_ones.append(_opened(comparison, own, state))
@@ -199,14 +206,10 @@ def _stepped(claim: str, chosen: _Open, seconds: float, obstacle: str, state: _S
     )
 
 
-def _belongs(
-    decided: Decided, comparison: Comparison, places: Mapping[str, tuple[str, str]]
-) -> bool:
+def _belongs(decided: Decided, comparison: Comparison, planned: Mapping[str, PlannedRun]) -> bool:
     """Tell whether all runs behind a decision are runs of the comparison."""
-    own = {places[run] for run in decided.part.runs if run in places}
-    return bool(own) and all(
-        method in comparison.methods and test in comparison.tests for method, test in own
-    )
+    own = [planned[run] for run in decided.part.runs if run in planned]
+    return bool(own) and all(comparison.has(run) for run in own)
 
 
 def _opened(comparison: Comparison, own: Sequence[Decided], state: _State) -> _Open:
@@ -268,19 +271,23 @@ def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
         for method in plan.methods
     ]  # fmt: skip
     first = _first_block(plan.experiment)
-    found: dict[tuple[tuple[str, ...], tuple[str, ...]], Comparison] = {}
+    found: dict[tuple[Any, ...], Comparison] = {}
     for check in claim.checks:
         if check.get("shown_only"):
             continue
         can_refute = not check.get("any")
-        for tests, roles in product(_tests(check, first), _roles(check)):
+        own = select(on_axes(first, check, book.axes), "", {**check, "where": {}})
+        for part, roles in product(_parts(check, own), _roles(check)):
             filled = [methods_in(book.roles[role], settings) for role in roles]
             if not all(filled):
                 continue
             names = tuple(dict.fromkeys(name for each in filled for name in each))
-            least = math.ceil(MIN_INSTANCES / _instances(check, first, tests, book.axes))
-            known = found.get((tests, names))
-            if known is not None:
+            tests = tuple(
+                (str(test), tuple(sorted(map(float, levels.unique()))))
+                for test, levels in part.groupby("test", sort=False)["level"]
+            )
+            least = math.ceil(MIN_INSTANCES / _instances(check, part))
+            if known := found.get((tests, names)):
                 least, can_refute = max(least, known.least), can_refute or known.can_refute
             found[tests, names] = Comparison(tests, names, least, can_refute)
     return list(found.values())
@@ -295,13 +302,11 @@ def _roles(check: Mapping[str, Any]) -> Iterator[list[str]]:
         yield [*always, *(role for role in (one, other) if role is not None)]
 
 
-def _tests(check: Mapping[str, Any], first: pd.DataFrame) -> list[tuple[str, ...]]:
-    """Return the tests of a check one by one, or together if one figure is about all of them."""
-    every = list(first["test"].unique())
-    tests = [test for test in check.get("tests", every) if test in every]
+def _parts(check: Mapping[str, Any], own: pd.DataFrame) -> list[pd.DataFrame]:
+    """Return the instances of a check by test, or together if one figure is about all tests."""
     if "test" in check.get("by", CHECKS[check["kind"]].by):
-        return [(test,) for test in tests]
-    return [tuple(tests)] if tests else []
+        return [part for _, part in own.groupby("test", sort=False)]
+    return [own] if len(own) else []
 
 
 def _first_block(experiment: Experiment) -> pd.DataFrame:
@@ -315,14 +320,10 @@ def _first_block(experiment: Experiment) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*SHARED[:2], "test", "level", "trial", "method"])
 
 
-def _instances(
-    check: Mapping[str, Any], first: pd.DataFrame, tests: Sequence[str], axes: Mapping[str, float]
-) -> int:
+def _instances(check: Mapping[str, Any], part: pd.DataFrame) -> int:
     """Return how many instances of a block the figure with the fewest has."""
     kind = CHECKS[check["kind"]]
-    table = select(on_axes(first, check, axes), "", {**check, "tests": tests, "where": {}})
     if kind.per_trial:
-        table = table.drop_duplicates([*SHARED, "test"]).drop(columns="level")
-    by = [column for column in check.get("by", kind.by) if column in table]
-    counts = table.groupby(by).size() if by else np.array([len(table)])
-    return max(1, int(counts.min())) if len(table) else 1
+        part = part.drop_duplicates([*SHARED, "test"]).drop(columns="level")
+    by = [column for column in check.get("by", kind.by) if column in part]
+    return int(part.groupby(by).size().min()) if by else len(part)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from dcreg.files import whole_file
 from reports.campaign.forecast import Forecast, Pair
+from workflows.blocks import Needs
 from workflows.config import ConfigError, Experiment, Selection
 
 # Seconds that unmeasured runs of a step may take, from which a pilot is worth its start.
@@ -20,18 +21,23 @@ def unmeasured(step: Forecast) -> list[Pair]:
     return list(step.unmeasured) if sum(step.unmeasured.values()) >= PILOT_S else []
 
 
-def pilots(pairs: list[Pair], experiment: Experiment) -> Iterator[Selection]:
-    """Yield the part of each test to run: two levels of the first trial, on all shapes.
+def pilots(pairs: list[Pair], experiment: Experiment, needs: Needs) -> Iterator[Selection]:
+    """Yield the part of each test to run: two of the needed levels of the first trial, on all shapes.
 
     The levels are the quartiles: between them, times grow nearly linearly, and beyond them a limit or
     the start of a process often makes them constant.
     """
     for test in dict.fromkeys(test for _, test in pairs):
+        methods = [method for method, own in pairs if own == test]
         levels = sorted(
-            {level for entry in experiment.datasets for level in entry.tests.get(test, ())}
+            {
+                level
+                for entry in experiment.datasets
+                for level in entry.tests.get(test, ())
+                if needs.of_all(test, methods, [level])
+            }
         )
         quartiles = {levels[len(levels) // 4], levels[3 * len(levels) // 4]}
-        methods = [method for method, own in pairs if own == test]
         yield Selection(methods=methods, tests=[test], levels=sorted(quartiles), trials=[0])
 
 

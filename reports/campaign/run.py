@@ -219,7 +219,8 @@ def collect(
         campaign = campaigns[name]
         if pairs := [pair for pair in unmeasured(option.step) if pair not in tried[name]]:
             tried[name].update(pairs)
-            store(list(pilots(pairs, campaign.experiment)), campaign.pilots_path)
+            parts = list(pilots(pairs, campaign.experiment, option.needs))
+            store(parts, campaign.pilots_path)
             may_go_on = _run_pilots(campaign, option.claim, run)
         else:
             option.needs.write(campaign.needs_path)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import pandas as pd
@@ -14,14 +16,16 @@ from rich.console import Console
 
 from baselines import registry
 from reports.campaign import choice, forecast, growth, run
-from reports.campaign.choice import Option, options
+from reports.campaign.choice import Option, comparisons, options
 from reports.campaign.forecast import Forecast, Times, bytes_per_run
 from reports.campaign.growth import changes
 from reports.campaign.run import Campaign
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
-from reports.ledger.intervals import NOT_RUN
+from reports.ledger.finding import Part
+from reports.ledger.intervals import NOT_RUN, OPEN, Share
 from reports.ledger.judging import judge
+from reports.ledger.verdicts import FEW, Decided
 from reports.tables import Tables
 from workflows.blocks import Needs
 from workflows.config import load
@@ -103,7 +107,7 @@ def test_disk_is_forecast_from_the_bytes_per_run(tmp_path):
     (tmp_path / "plan.parquet").write_bytes(bytes(1000))
     assert bytes_per_run(tmp_path, 0) is None
     known = Times.of([], EXPERIMENT, bytes_per_run(tmp_path, 4))
-    plan = expand(EXPERIMENT, None, NAME, NONE.with_block("noise", ["rpm_pa"]))
+    plan = expand(EXPERIMENT, None, NAME, Needs({"noise": {"rpm_pa": 1}}))
     found = known.of_runs(plan.runs())
     assert found.megabytes == pytest.approx(found.runs * 1000 / 1e6)
     assert "MB" in str(found)
@@ -112,7 +116,7 @@ def test_disk_is_forecast_from_the_bytes_per_run(tmp_path):
 
 def test_methods_that_are_not_installed_take_no_time(monkeypatch):
     monkeypatch.setattr(forecast, "runs_here", lambda method: method.name != "rpm_pa")
-    plan = expand(EXPERIMENT, None, NAME, NONE.with_block("noise", ["rpm_pa", "rpm_cav"]))
+    plan = expand(EXPERIMENT, None, NAME, Needs({"noise": {"rpm_pa": 1, "rpm_cav": 1}}))
     found, limit = times().of_runs(plan.runs()), times().limits["rpm_cav"]
     assert found.runs == 2 * found.unseen
     assert found.seconds == found.unseen * limit
@@ -139,7 +143,7 @@ def test_the_next_step_does_not_depend_on_the_time_left(costly, left_s):
 def test_runs_of_an_interrupted_block_are_measured_and_done(tmp_path, monkeypatch):
     monkeypatch.setenv("DCREG_ARCHIVES", "")
     campaign = Campaign(NAME, tmp_path)
-    NONE.with_block("noise", ["rpm_pa"]).write(campaign.needs_path)
+    Needs({"noise": {"rpm_pa": 1}}).write(campaign.needs_path)
     planned = list(campaign.plan().runs())
     row = {"run_id": planned[0].run_id, "instance_id": planned[0].instance.instance_id,
            "instance_digest": "", "fingerprint": registry.fingerprint("rpm_pa"),
@@ -160,7 +164,7 @@ def test_ended_runs_are_not_shown_before_their_tables_are_made(tmp_path, monkeyp
     monkeypatch.setenv("DCREG_ARCHIVES", "")
     campaign = Campaign(NAME, tmp_path)
     assert not campaign.is_behind()
-    NONE.with_block("noise", ["rpm_pa"]).write(campaign.needs_path)
+    Needs({"noise": {"rpm_pa": 1}}).write(campaign.needs_path)
     runs = pd.DataFrame({"run_id": [each.run_id for each in campaign.plan().runs()]}).assign(
         method="rpm_pa", outcome="finished", fingerprint=registry.fingerprint("rpm_pa"),
         test="noise", level=0.0, time_solve_s=1.0, time_overhead_s=0.0,
@@ -186,11 +190,12 @@ def test_every_claim_about_the_experiment_has_a_next_block(unseen):
 
 def test_a_block_has_the_methods_of_one_comparison_and_no_others(unseen):
     low = next(option for option in unseen if option.claim == "low-inlier")
-    assert (
-        set(low.needs.trials) == set(low.comparison.tests) < {"mixed_outliers", "separate_outliers"}
-    )
-    methods = {name for own in low.needs.trials.values() for name in own}
-    assert {EXPERIMENT.method(name).baseline for name in methods} == {"dcreg_paper"}
+    ((test, levels),) = low.comparison.tests
+    assert (test, levels) in {("mixed_outliers", (1.0, 2.0)), ("separate_outliers", (1.0,))}
+    (method,) = low.comparison.methods
+    assert EXPERIMENT.method(method).baseline == "dcreg_paper"
+    assert low.needs.trials == {test: {method: {f"{level:g}": 1 for level in levels}}}
+    assert low.block.runs == 2 * len(levels)
 
 
 def test_the_cheapest_claim_comes_first_and_the_order_does_not_depend_on_chance(unseen):
@@ -203,13 +208,13 @@ def test_finished_blocks_are_not_paid_again(unseen):
     (again,) = ahead(times(), first.needs, first.claim)
     assert again.block.runs == first.block.runs  # one more trial, without the one before
     for test, own in first.needs.trials.items():
-        assert again.needs.trials[test] == {name: number + 1 for name, number in own.items()}
+        more = {name: dict.fromkeys(levels, 2) for name, levels in own.items()}
+        assert again.needs.trials[test] == more
 
 
 def test_the_runs_of_a_pilot_are_not_forecast_again(unseen):
     first = unseen[0]
-    plan = expand(EXPERIMENT, None, NAME, first.needs)
-    done = {run.run_id for run in plan.runs() if run.instance.level == 0.0}
+    done = {next(expand(EXPERIMENT, None, NAME, first.needs).runs()).run_id}
     (again,) = ahead(times(), claim=first.claim, done=done)
     assert again.needs == first.needs
     assert again.block == first.block
@@ -220,17 +225,19 @@ def test_a_block_is_one_trial_also_of_methods_that_other_claims_left_out():
     """They need not run all trials that another claim needed of one method."""
     (first,) = ahead(times(), claim="faster")
     test, own = next(iter(first.needs.trials.items()))
-    known = Needs({test: {next(iter(own)): 30}})
+    name = next(iter(own))
+    known = Needs({test: {name: 30}})
     (option,) = ahead(times(), known, "faster")
-    assert option.needs.trials[test] == {**own, **known.trials[test]}
+    assert option.needs.trials[test] == {**own, name: 30}
     assert option.block.runs < first.block.runs
 
 
-def test_a_claim_whose_trials_are_all_run_has_an_obstacle(unseen):
+def test_a_claim_that_needs_more_trials_than_there_are_has_an_obstacle(unseen):
     judged = judge(ledger(), Evidence({}, {}), {plain_name(NAME)})
     plan = expand(EXPERIMENT, None, NAME, unseen[0].needs)
     found = options(ledger(), judged, plan, times(), 1)
-    assert any(option.obstacle == "all 1 trials are run" for option in found)
+    obstacle = "it needs 10 trials, and the experiment has 1"
+    assert any(option.obstacle == obstacle for option in found)
     assert bool(found[-1].obstacle)
 
 
@@ -244,7 +251,8 @@ def test_short_blocks_are_run_together(monkeypatch, share, at_once):
 
     monkeypatch.setattr(choice, "STEP_S", share * low_inlier().block.seconds)
     found = low_inlier()
-    assert {max(own.values()) for own in found.needs.trials.values()} == {at_once}
+    numbers = [n for own in found.needs.trials.values() for by in own.values() for n in by.values()]
+    assert set(numbers) == {at_once}
     assert found.step.runs == at_once * found.block.runs
     assert found.blocks == 7
 
@@ -263,8 +271,53 @@ def test_claims_without_runs_need_the_minimum_number_of_instances(unseen, claim,
     assert next(option for option in unseen if option.claim == claim).blocks == blocks
 
 
+RIGID = "paper3d-40"
+
+
+def nonrigid(value: float, **fields) -> Option:
+    """The option of a claim, one of whose rivals has a success rate; claimed is less than 0.5."""
+    needs = Needs({"deformation": {"frs": 1}})
+    plan = expand(load(RIGID), None, RIGID, needs)
+    runs = {each.run_id: False for each in plan.runs() if each.instance.level > 0.0}
+    part = Part("FRS", "", "deformation", "", Share(value, 10), {"below": 0.5}, runs=runs, **fields)
+    row = SimpleNamespace(shown_only=False, decided=(Decided(part, OPEN, 0.01, FEW),))
+    judged = SimpleNamespace(id="nonrigid", verdict=OPEN, rows=(row,))
+    known = Times.of([], load(RIGID))
+    (option,) = options(ledger(), [judged], plan, known, 100)
+    return option
+
+
+def test_a_comparison_that_is_expected_to_refute_its_claim_is_enough():
+    option = nonrigid(0.7)
+    assert option.comparison.methods == ("frs",)
+    assert option.seconds == option.blocks * option.block.seconds
+    assert option.blocks == math.ceil(Share(0.7, 10).needed(0.5, 0.01) / 10) - 1
+
+
+@pytest.mark.parametrize(
+    "case", [(0.3, {}), (0.7, {"cannot_refute": "why"}), (0.7, {"falls": True})]
+)
+def test_otherwise_all_comparisons_of_a_claim_take_their_time(case):
+    option = nonrigid(case[0], **case[1])
+    assert option.seconds > 3 * option.blocks * option.block.seconds
+
+
+def test_a_check_of_which_one_comparison_is_enough_is_not_refuted_by_one():
+    claim = next(each for each in ledger().claims if each.id == "separate-3d")
+    found = comparisons(ledger(), claim, expand(load(RIGID), None, RIGID, NONE))
+    can_refute = {each.methods[-1]: each.can_refute for each in found}
+    assert can_refute["gore-norm-signature"] is False
+    assert any(can_refute.values())
+
+
+def test_a_block_has_only_the_levels_that_its_claim_compares():
+    claim = next(each for each in ledger().claims if each.id == "sharp-003")
+    found = comparisons(ledger(), claim, expand(EXPERIMENT, None, NAME, NONE))
+    assert {each.tests for each in found} == {(("noise", (0.03, 0.05)),)}
+
+
 def test_a_campaign_continues_from_the_blocks_and_tables_of_an_archive(tmp_path, monkeypatch):
-    archives, needs = tmp_path / "archives", NONE.with_block("noise", ["dcreg", "rpm_pa"])
+    archives, needs = tmp_path / "archives", Needs({"noise": {"dcreg": 1, "rpm_pa": 1}})
     for number, stored in enumerate([NONE, needs]):
         folder = archives / str(number)
         needs_path = folder / "experiments" / NAME / "needs.json"
@@ -284,7 +337,7 @@ def test_a_campaign_continues_from_the_blocks_and_tables_of_an_archive(tmp_path,
     assert Needs.read(campaign.needs_path) == needs
     assert (campaign.folder / "tables" / "origin").read_text() == "1"
     assert [path.name for path in campaign.folder.iterdir()].count("tables") == 1
-    more = needs.with_block("noise", ["dcreg"])
+    more = needs.with_block("noise", ["dcreg"], [0.01])
     more.write(campaign.needs_path)
     campaign.adopt()
     assert Needs.read(campaign.needs_path) == more
@@ -300,7 +353,7 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
 
     monkeypatch.setattr(run, "run_snakemake", snakemake)
     campaign = Campaign(NAME, tmp_path)
-    NONE.with_block("noise", ["rpm_pa"]).write(campaign.needs_path)
+    Needs({"noise": {"rpm_pa": 1}}).write(campaign.needs_path)
     console = Console(file=io.StringIO(), width=200)
     expected = Forecast(1, 2.0, 0)
     end = time.monotonic() + 600.0
@@ -316,7 +369,7 @@ def test_nothing_is_begun_once_the_time_is_over(tmp_path, monkeypatch):
     monkeypatch.setenv("DCREG_ARCHIVES", "")
     monkeypatch.setattr(run, "run_snakemake", lambda *_, **__: pytest.fail("begun"))
     monkeypatch.setattr(run, "_ahead", lambda *_: [])
-    NONE.with_block("noise", ["rpm_pa"]).write(Campaign(NAME, tmp_path).needs_path)
+    Needs({"noise": {"rpm_pa": 1}}).write(Campaign(NAME, tmp_path).needs_path)
     assert run.collect(0.0, [NAME], tmp_path, 1, tmp_path / "out") == []
 
 

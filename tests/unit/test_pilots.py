@@ -34,7 +34,7 @@ def times(*tests: str) -> Times:
 @pytest.fixture
 def costly():
     """The option of a claim about a method whose runs in one of two tests are measured."""
-    needs = NONE.with_block("noise", ["rpm_pa"]).with_block("deformation", ["rpm_pa"])
+    needs = Needs({"noise": {"rpm_pa": 1}, "deformation": {"rpm_pa": 1}})
     step = Forecast(24, 5000.0, 12, {PAIR: 2400.0})
     return Option("claim", None, needs, step, step, 1, step.seconds)
 
@@ -43,11 +43,17 @@ def test_a_pilot_runs_two_levels_of_unmeasured_tests(costly):
     block = expand(EXPERIMENT, None, NAME, costly.needs)
     step = times("noise").of_runs(block.runs())
     assert list(step.unmeasured) == unmeasured(step) == [PAIR]
-    (part,) = pilots([PAIR], EXPERIMENT)
+    (part,) = pilots([PAIR], EXPERIMENT, costly.needs)
     plan = expand(EXPERIMENT, part)
     (levels,) = {tuple(entry.tests["deformation"]) for entry in EXPERIMENT.datasets}
     assert part.levels == [levels[len(levels) // 4], levels[3 * len(levels) // 4]]
     assert {run.run_id for run in plan.runs()} < {run.run_id for run in block.runs()}
+
+
+def test_a_pilot_runs_levels_of_its_block_only():
+    needs = NONE.with_block("deformation", ["rpm_pa"], [0.04])
+    (part,) = pilots([PAIR], EXPERIMENT, needs)
+    assert part.levels == [0.04]
 
 
 def test_unmeasured_runs_that_are_expected_to_be_short_have_a_pilot_too(costly):
@@ -115,7 +121,7 @@ def test_the_next_call_finishes_an_interrupted_pilot(costly, tmp_path, monkeypat
     monkeypatch.setattr(run, "_run", interrupted)
     monkeypatch.setattr(run, "_ahead", lambda *_: [(NAME, costly)])
     run.collect(1.0, [NAME], tmp_path, 1, tmp_path / "out")
-    (part,) = pilots([PAIR], EXPERIMENT)
+    (part,) = pilots([PAIR], EXPERIMENT, costly.needs)
     planned = [each.run_id for each in expand(EXPERIMENT, part).runs()]
     monkeypatch.setattr(Campaign, "done", lambda self: set(planned[:1]))
     run.collect(1.0, [NAME], tmp_path, 1, tmp_path / "out")
@@ -141,7 +147,8 @@ def test_pilots_would_have_forecast_the_archived_parts(name):
     experiment, runs = load(name), runs_of(name).dropna(subset="time_solve_s")
     found = {}
     for pair, part in runs.groupby(["method", "test"]):
-        (pilot,) = pilots([pair], experiment)
+        needs = Needs({pair[1]: {pair[0]: 1}})
+        (pilot,) = pilots([pair], experiment, needs)
         known = Times.of(
             [part[part["level"].isin(pilot.levels) & (part["trial"] == 0)]], experiment
         )

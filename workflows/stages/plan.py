@@ -64,9 +64,9 @@ class Chunk:
     instances: tuple[InstanceSpec, ...]
 
     @property
-    def block(self) -> tuple[str, int]:
-        """Test and trial of a chunk that is a block."""
-        return self.instances[0].test, self.instances[0].trial
+    def block(self) -> tuple[str, float, int]:
+        """Test, a level and trial of a chunk of a block, whose levels are run by the same methods."""
+        return self.instances[0].test, self.instances[0].level, self.instances[0].trial
 
     @property
     def datasets(self) -> list[str]:
@@ -92,7 +92,7 @@ class Plan:
     selection: Selection
     chunks: tuple[Chunk, ...]
     methods: tuple[MethodSettings, ...]
-    needs: Needs | None = None  # every chunk is then a block
+    needs: Needs | None = None  # every chunk then belongs to a block
 
     def jobs(self) -> Iterator[tuple[MethodSettings, Chunk]]:
         """Yield the methods with the chunks that they are run on."""
@@ -101,7 +101,7 @@ class Plan:
                 yield method, chunk
 
     def is_needed(self, method: MethodSettings, chunk: Chunk) -> bool:
-        return self.needs is None or self.needs.needs(method.name, *chunk.block)
+        return self.needs is None or method.name in self.needs.users(*chunk.block)
 
     def pairs(self) -> Iterator[tuple[MethodSettings, Chunk]]:
         """Yield all planned methods and chunks, including those that are not needed."""
@@ -278,12 +278,12 @@ def _chunks(instances: Sequence[InstanceSpec], size: int) -> Iterator[Chunk]:
 
 
 def _blocks(instances: Sequence[InstanceSpec], needs: Needs) -> Iterator[Chunk]:
-    """Yield a chunk for each needed block; models are never mixed."""
-    blocks: dict[tuple[str, str, int], list[InstanceSpec]] = {}
+    """Yield a chunk for each needed trial and the methods that run on it; models are never mixed."""
+    blocks: dict[tuple[str, str, int, tuple[str, ...]], list[InstanceSpec]] = {}
     for each in instances:
-        if each.trial < needs.blocks(each.test):
-            blocks.setdefault((each.model, each.test, each.trial), []).append(each)
-    for (model, _, trial), members in blocks.items():
+        if users := needs.users(each.test, each.level, each.trial):
+            blocks.setdefault((each.model, each.test, each.trial, users), []).append(each)
+    for (model, _, trial, _), members in blocks.items():
         content = digest([member.instance_id for member in members], 6)
         yield Chunk(f"{SHORT[model]}-{trial:02d}-{content}", model, tuple(members))
 
