@@ -62,13 +62,10 @@ def _same_blocks(test: str, own: Mapping[str, Numbers], methods: Sequence[str]) 
 def _archived_blocks(plan: Plan, methods: Sequence[str]) -> Needs:
     """Return how many first trials are archived completely, by test, level and other method."""
     stored = {
-        method.name: {
-            run_id
-            for run_id, _, version in archived(method.name)
-            if version == registry.fingerprint(method.baseline)
-        }
+        method.name: {run_id for run_id, _, version in archived(method.name) if version == present}
         for method in plan.methods
         if method.name not in methods
+        for present in [registry.fingerprint(method.baseline)]  # takes long
     }
     missing: dict[tuple[str, str, str], set[int]] = defaultdict(set)
     last: dict[tuple[str, str, str], int] = defaultdict(int)

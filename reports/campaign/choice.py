@@ -29,7 +29,7 @@ from workflows.config import Experiment, Selection
 from workflows.stages.plan import Plan, PlannedRun, expand
 
 # A step has several blocks if they are expected to take less time: planning, judging and the tables take
-# about a minute per step.
+# about half a minute per step.
 STEP_S = 300.0
 NO_METHODS = "the experiment has none of the methods that the claim compares"
 
@@ -55,7 +55,10 @@ class Comparison:
     can_refute: bool = True
 
     def __str__(self) -> str:
-        tests = (f"{words(test)} {levels[0]:g}–{levels[-1]:g}" for test, levels in self.tests)
+        tests = (
+            f"{words(test)} {'–'.join(f'{level:g}' for level in sorted({levels[0], levels[-1]}))}"
+            for test, levels in self.tests
+        )
         return f"{', '.join(tests)}: {', '.join(self.methods)}"
 
     def has(self, run: PlannedRun) -> bool:

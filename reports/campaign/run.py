@@ -126,6 +126,12 @@ class Campaign:
         return Times.of(known, self.experiment, measured)
 
     @cached_property
+    def versions(self) -> dict[str, str]:
+        """The present versions of the methods."""
+        methods = self.experiment.methods
+        return {method.name: registry.fingerprint(method.baseline) for method in methods}
+
+    @cached_property
     def specs(self) -> dict[str, InstanceSpec]:
         """All instances of the experiment by their instance_id."""
         chunks = expand(self.experiment).chunks
@@ -145,10 +151,9 @@ class Campaign:
         rows = []
         for method in self.experiment.methods:
             identity = method_identity(self.experiment, method)
-            version = registry.fingerprint(method.baseline)
             for row in journalled(self.folder.parent / "runs" / method.name).values():
                 spec = self.specs.get(row["instance_id"])
-                if spec is None or row["fingerprint"] != version:
+                if spec is None or row["fingerprint"] != self.versions[method.name]:
                     continue
                 if row["run_id"] == run_identity(identity, spec.instance_id):
                     seconds = row.get("time_solve_s"), row.get("time_overhead_s")
@@ -160,20 +165,17 @@ class Campaign:
         """The run_ids of archived runs of the present versions of the methods."""
         return {
             run_id
-            for method in self.experiment.methods
-            for run_id, _, version in archived(method.name)
-            if version == registry.fingerprint(method.baseline)
+            for name, present in self.versions.items()
+            for run_id, _, version in archived(name)
+            if version == present
         }
 
     def shown(self) -> set[str]:
         """Return the run_ids of the results in the tables, of the present versions of the methods."""
         if (tables := self.tables()) is None:
             return set()
-        versions = {
-            method.name: registry.fingerprint(method.baseline) for method in self.experiment.methods
-        }
         runs = tables.runs[tables.runs["outcome"] != NOT_NEEDED]
-        return set(runs.loc[runs["fingerprint"] == runs["method"].map(versions), "run_id"])
+        return set(runs.loc[runs["fingerprint"] == runs["method"].map(self.versions), "run_id"])
 
     def done(self) -> set[str]:
         """Return the run_ids of all results, also of an interrupted block or a pilot."""
