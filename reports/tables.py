@@ -150,9 +150,11 @@ def check_study(table: pd.DataFrame, folder: Path) -> None:
     ------
     ReportError
     """
-    if REFERENCE not in set(table["bound"]):
+    lacks = [f"bound {REFERENCE!r}"] * (REFERENCE not in set(table["bound"]))
+    lacks += ["column 'trial'"] * ("trial" not in table)
+    if lacks:
         raise ReportError(
-            f"{folder}: no bound {REFERENCE!r} in its tables, which an earlier version wrote; "
+            f"{folder}: no {lacks[0]} in its tables, which an earlier version wrote; "
             "make them again with `make bounds`"
         )
 

@@ -72,7 +72,7 @@ def work(source: Source, p: Parameters) -> Finding:
     finding.rows.append(table[table["bound"].isin([p["subject"], *p["rivals"]])])
     for rival in p["rivals"]:
         gaps = []
-        for _, part in table.groupby("instance", sort=False):
+        for _, part in table.groupby(["instance", "trial"], sort=False):
             mine, theirs = (part[part["bound"] == name] for name in (p["subject"], rival))
             if len(mine) and len(theirs):
                 shared = min(mine["n_assignments"].max(), theirs["n_assignments"].max())

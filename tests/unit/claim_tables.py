@@ -298,7 +298,8 @@ def _write_study(claim: Claim, folder: Path, *, true: bool) -> Path:
     searches = pd.DataFrame(
         [
             {
-                "instance": f"2D case {case}", "bound": name, "n_nodes": count, "status": "optimal",
+                "instance": f"2D case {case}", "trial": 0, "bound": name, "n_nodes": count,
+                "status": "optimal",
                 "n_assignments": count, "time_s": 0.1 * count, "gap": (
                     100.0 if not count else (0.5 if is_good[name] else 5.0) * draw.uniform(0.9, 1.1)
                 ),

@@ -129,7 +129,7 @@ def test_page_is_one_file_for_both_themes(tmp_path, cases, boxes):
     losses = study.losses_table(pd.concat(boxes.values()))
     losses.to_csv(tmp_path / "losses.csv", index=False)
     study.orders_table(losses).to_csv(tmp_path / "orders.csv", index=False)
-    searches = [study.searches_table(name, case, 0.1) for name, case in cases.items()]
+    searches = [study.searches_table(name, 0, case, 0.1) for name, case in cases.items()]
     pd.concat(searches).to_csv(tmp_path / "searches.csv", index=False)
     text = page.build(tmp_path).read_text(encoding="utf-8")
     assert text.count("<svg") == 4  # two figures on two surfaces

@@ -125,7 +125,13 @@ def _orders(sign: int) -> pd.DataFrame:
 def _searches(sign: int) -> pd.DataFrame:
     return pd.DataFrame(
         [
-            {"instance": i, "bound": b, "n_assignments": n, "gap": g if n else 100.0}
+            {
+                "instance": i % 6,
+                "trial": i // 6,
+                "bound": b,
+                "n_assignments": n,
+                "gap": g if n else 100.0,
+            }
             for i in range(24)
             for n in (0, 10)
             for b, g in (("dc", 2.0 - (sign if sign else i % 2 - 0.5)), ("interval", 2.0))
@@ -330,9 +336,11 @@ def test_instances_are_paired():
     assert "other" not in set(found.data["run_id"])
 
 
-def test_a_study_of_an_earlier_version_is_refused_with_its_command(tmp_path):
+@pytest.mark.parametrize("change", [{"bound": "paper"}, {"trial": None}])
+def test_a_study_of_an_earlier_version_is_refused_with_its_command(tmp_path, change):
     for _, name, make in STUDY:
-        make(1).replace({"bound": {"dc": "paper"}}).to_csv(tmp_path / f"{name}.csv", index=False)
+        table = make(1).assign(**change).dropna(axis="columns", how="all")
+        table.to_csv(tmp_path / f"{name}.csv", index=False)
     answer = CliRunner().invoke(app, ["claims", str(tmp_path), "--out", str(tmp_path)])
     assert answer.exit_code == 2
     assert "make them again with `make bounds`" in answer.output
