@@ -8,7 +8,7 @@ else the one that takes the shortest time.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -17,15 +17,14 @@ import pandas as pd
 
 from baselines import registry
 from reports.campaign.forecast import Forecast, Times
+from reports.ledger import planned
 from reports.ledger.book import Claim, Ledger
-from reports.ledger.evidence import methods_in
-from reports.ledger.finding import CHECKS, SHARED, on_axes, select
 from reports.ledger.intervals import MIN_INSTANCES, MOST_NEEDED, NOT_RUN, OPEN, distance
 from reports.ledger.judging import Judgement
 from reports.ledger.verdicts import FEW, WIDE, Decided
 from reports.theme import words
 from workflows.blocks import Needs
-from workflows.config import Experiment, Selection
+from workflows.outlook import runs_here
 from workflows.stages.plan import Plan, PlannedRun, expand
 
 # A step has several blocks if they are expected to take less time: planning, judging and the tables take
@@ -176,11 +175,11 @@ def options(
 def _option(
     claim: Claim, compared: Sequence[Comparison], found: Judgement, state: _State
 ) -> Option:
-    planned = {run.run_id: run for run in state.plan.runs()}
+    runs = {run.run_id: run for run in state.plan.runs()}
     decided = [each for row in found.rows if not row.shown_only for each in row.decided]
     open_ones = []
     for comparison in compared:
-        own = [each for each in decided if _belongs(each, comparison, planned)]
+        own = [each for each in decided if _belongs(each, comparison, runs)]
         if own and all(each.verdict != OPEN for each in own):
             continue
         open_ones.append(_opened(comparison, own, state))
@@ -209,9 +208,9 @@ def _stepped(claim: str, chosen: _Open, seconds: float, obstacle: str, state: _S
     )
 
 
-def _belongs(decided: Decided, comparison: Comparison, planned: Mapping[str, PlannedRun]) -> bool:
+def _belongs(decided: Decided, comparison: Comparison, runs: Mapping[str, PlannedRun]) -> bool:
     """Tell whether all runs behind a decision are runs of the comparison."""
-    own = [planned[run] for run in decided.part.runs if run in planned]
+    own = [runs[run] for run in decided.part.runs if run in runs]
     return bool(own) and all(comparison.has(run) for run in own)
 
 
@@ -271,62 +270,32 @@ def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
     settings = [
         (method.name, method.baseline, registry.effective_options(method.baseline, method.options),
          method.n_inliers_ratio)
-        for method in plan.methods
+        for method in plan.methods if runs_here(method)
     ]  # fmt: skip
-    first = _first_block(plan.experiment)
+    first = planned.first_block([entry.model_dump() for entry in plan.experiment.datasets])
     found: dict[tuple[Any, ...], Comparison] = {}
     for check in claim.checks:
         if check.get("shown_only"):
             continue
         can_refute = not check.get("any")
-        own = select(on_axes(first, check, book.axes), "", {**check, "where": {}})
-        for part, roles in product(_parts(check, own), _roles(check)):
-            filled = [methods_in(book.roles[role], settings) for role in roles]
-            if not all(filled):
-                continue
+        for block, filled in product(
+            _by_test(check, planned.compared(check, first, book.axes)),
+            list(planned.pairs(check, book.roles, settings)),
+        ):
             names = tuple(dict.fromkeys(name for each in filled for name in each))
             tests = tuple(
                 (str(test), tuple(sorted(map(float, levels.unique()))))
-                for test, levels in part.groupby("test", sort=False)["level"]
+                for test, levels in block.groupby("test", sort=False)["level"]
             )
-            least = math.ceil(MIN_INSTANCES / _instances(check, part))
+            least = math.ceil(MIN_INSTANCES / planned.instances(check, block))
             if known := found.get((tests, names)):
                 least, can_refute = max(least, known.least), can_refute or known.can_refute
             found[tests, names] = Comparison(tests, names, least, can_refute)
     return list(found.values())
 
 
-def _roles(check: Mapping[str, Any]) -> Iterator[list[str]]:
-    """Yield the roles of each comparison of a check: each method with each rival."""
-    always: list[str] = []
-    for key in ("subject", "reference", "rival"):
-        always += [check[key]] if isinstance(check.get(key), str) else check.get(key, [])
-    for one, other in product(check.get("methods", [None]), check.get("rivals", [None])):
-        yield [*always, *(role for role in (one, other) if role is not None)]
-
-
-def _parts(check: Mapping[str, Any], own: pd.DataFrame) -> list[pd.DataFrame]:
+def _by_test(check: Mapping[str, Any], block: pd.DataFrame) -> list[pd.DataFrame]:
     """Return the instances of a check by test, or together if one figure is about all tests."""
-    if "test" in check.get("by", CHECKS[check["kind"]].by):
-        return [part for _, part in own.groupby("test", sort=False)]
-    return [own] if len(own) else []
-
-
-def _first_block(experiment: Experiment) -> pd.DataFrame:
-    """Return a row per instance of the first block of each test."""
-    chunks = expand(experiment, Selection(trials=[0])).chunks
-    rows = [
-        (spec.dataset, spec.shape, spec.test, spec.level, spec.trial, "")
-        for chunk in chunks
-        for spec in chunk.instances
-    ]
-    return pd.DataFrame(rows, columns=[*SHARED[:2], "test", "level", "trial", "method"])
-
-
-def _instances(check: Mapping[str, Any], part: pd.DataFrame) -> int:
-    """Return how many instances of a block the figure with the fewest has."""
-    kind = CHECKS[check["kind"]]
-    if kind.per_trial:
-        part = part.drop_duplicates([*SHARED, "test"]).drop(columns="level")
-    by = [column for column in check.get("by", kind.by) if column in part]
-    return int(part.groupby(by).size().min()) if by else len(part)
+    if "test" in planned.columns_of(check, block):
+        return [part for _, part in block.groupby("test", sort=False)]
+    return [block] if len(block) else []

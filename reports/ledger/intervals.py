@@ -20,7 +20,8 @@ runs can be added until a claim is decided:
   order of their p-values, comparison i of m is decided at ``LEVEL / (m - i + 1)``; the procedure stops
   at the first comparison that is not decided. Each interval is shown at the level that decides it.
 - Comparisons with fewer than `MIN_INSTANCES` instances are not decided. They take part in the correction,
-  because their number must not depend on when the results are looked at.
+  and so do planned ones without runs (`reports.ledger.planned`), because the number of comparisons must
+  not depend on when the results are looked at.
 - `needed` estimates from the observed effect and spread how many instances decide an open comparison.
 """
 

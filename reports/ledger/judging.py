@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 from markupsafe import Markup
 
+from reports.ledger import planned
 from reports.ledger.book import UNJUDGED as KINDS
 from reports.ledger.book import Claim, Ledger, ledger
 from reports.ledger.drawing import strips
@@ -90,7 +91,10 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
         found = [
             rows(finding, decided, *second(source, entry))
             for finding, decided, entry in zip(
-                findings, decide(findings, quick=quick), claim.checks, strict=True
+                findings,
+                decide(findings, quick=quick, planned=_planned(book, claim, experiment)),
+                claim.checks,
+                strict=True,
             )
         ]
     verdict, reason = _verdict(claim, findings, found)
@@ -126,6 +130,24 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
         because=claim.because,
         rows=tuple(every),
         data=_data(findings, every, experiment),
+    )
+
+
+def _planned(book: Ledger, claim: Claim, experiment: Experiment | None) -> int:
+    """Return the number of comparisons that decide a claim once all planned runs exist."""
+    if experiment is None:
+        return 0
+    config, cards = experiment.tables.provenance.get("config", {}), experiment.tables.cards
+    settings = [
+        (name, str(card.get("baseline", "")), {**card.get("parameters", {}), **card.get("options", {})},
+         float(card.get("n_inliers_ratio", 1.0)))
+        for name, card in cards.items() if not card.get("unavailable")
+    ]  # fmt: skip
+    first = planned.first_block(config.get("datasets", ()))
+    return sum(
+        planned.count(check, first, book.axes, book.roles, settings)
+        for check in claim.checks
+        if not check.get("shown_only")
     )
 
 

@@ -118,10 +118,11 @@ class Row:
         return "; ".join(texts)
 
 
-def decide(findings: Sequence[Finding], *, quick: bool) -> list[list[Decided]]:
+def decide(findings: Sequence[Finding], *, quick: bool, planned: int = 0) -> list[list[Decided]]:
     """Decide the comparisons of a claim, with Holm's correction over those of its verdict.
 
-    Comparisons that cannot be decided yet take part, so that their number is the same at every look.
+    Comparisons that cannot be decided yet take part, and so do `planned` ones without runs: their number
+    is the same at every look.
     """
     parts = [part for finding in findings for part in finding.parts]
     barred = [_barred(part, quick=quick) for part in parts]
@@ -133,8 +134,9 @@ def decide(findings: Sequence[Finding], *, quick: bool) -> list[list[Decided]]:
     ]
     family = [at for at, part in enumerate(parts) if not part.shown_only]
     p_values = [1.0 if barred[at] else min(p_of[at]) for at in family]
+    p_values += [1.0] * (planned - len(family))
     levels = dict.fromkeys(range(len(parts)), LEVEL)
-    levels |= dict(zip(family, holm(p_values, LEVEL), strict=True))
+    levels |= dict(zip(family, holm(p_values, LEVEL), strict=False))
     decided = []
     for part, why, p, level in zip(parts, barred, p_of, levels.values(), strict=True):
         verdict = OPEN if why else intervals.decide(*p, level)

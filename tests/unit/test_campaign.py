@@ -20,6 +20,7 @@ from reports.campaign.choice import Option, comparisons, options
 from reports.campaign.forecast import Forecast, Times, bytes_per_run
 from reports.campaign.growth import changes
 from reports.campaign.run import Campaign
+from reports.ledger import planned
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.finding import Part
@@ -308,6 +309,46 @@ def test_a_check_of_which_one_comparison_is_enough_is_not_refuted_by_one():
     can_refute = {each.methods[-1]: each.can_refute for each in found}
     assert can_refute["gore-norm-signature"] is False
     assert any(can_refute.values())
+
+
+def test_methods_that_are_not_installed_are_not_compared(monkeypatch):
+    monkeypatch.setattr(choice, "runs_here", lambda method: method.name != "rpm_pa")
+    claim = next(each for each in ledger().claims if each.id == "faster")
+    found = comparisons(ledger(), claim, expand(EXPERIMENT, None, NAME, NONE))
+    names = {name for each in found for name in each.methods}
+    assert names
+    assert "rpm_pa" not in names
+
+
+@pytest.mark.parametrize(
+    ("claim", "number"),
+    [
+        ("low-inlier", 3),
+        ("low-def", 6),  # levels
+        ("time-easy", 2 * 6 + 2),
+        ("time-hard", 3 * 2),  # tests, time and boxes
+        ("eps-min", 5 * 2),  # tests, both priors
+        ("robust-extreme", 5 * 4),  # top levels of the tests; RPM-HTB has two variants
+        ("half-occl", 3 * 4),
+        ("occl-stable", 4 + 4),
+        ("bound-explains", 5 + 1),
+    ],
+)
+def test_all_comparisons_of_a_claim_are_planned(claim, number):
+    plan = expand(EXPERIMENT, None, NAME, NONE)
+    settings = [
+        (each.name, each.baseline, registry.effective_options(each.baseline, each.options),
+         each.n_inliers_ratio)
+        for each in plan.methods
+    ]  # fmt: skip
+    (found,) = (each for each in ledger().claims if each.id == claim)
+    first = planned.first_block([entry.model_dump() for entry in EXPERIMENT.datasets])
+    counts = [
+        planned.count(check, first, ledger().axes, ledger().roles, settings)
+        for check in found.checks
+        if not check.get("shown_only")
+    ]
+    assert sum(counts) == number
 
 
 def test_a_block_has_only_the_levels_that_its_claim_compares():

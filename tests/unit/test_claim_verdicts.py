@@ -30,8 +30,18 @@ from report_fixture import write_tables
 from reports.figures import bounds, profile
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, Experiment
-from reports.ledger.intervals import MIN_INSTANCES, NOT, NOT_RUN, OPEN, REPRODUCED
+from reports.ledger.finding import Finding, Part
+from reports.ledger.intervals import (
+    LEVEL,
+    MIN_INSTANCES,
+    NOT,
+    NOT_RUN,
+    OPEN,
+    REPRODUCED,
+    Share,
+)
 from reports.ledger.judging import judge_claim
+from reports.ledger.verdicts import decide
 from reports.tables import Tables
 from reports.theme import method_styles
 
@@ -64,6 +74,15 @@ def test_every_rival_and_test_has_a_verdict_of_its_own():
     assert "RPM-CAV" in found.reason
     assert "RPM-CAV" in found.tested.partition("not tested: ")[2]
     assert found.runs == 180  # of the row that decides
+
+
+def test_planned_comparisons_without_runs_take_part_in_the_correction():
+    """Otherwise the first comparison that is run would be decided at too lenient a level."""
+    finding = Finding("figure", parts=[Part("a", "b", "noise", "", Share(0.85, 40), {"above": 0.6})])
+    for planned, level in ((0, LEVEL), (1, LEVEL), (10, LEVEL / 10)):
+        ((found,),) = decide([finding], quick=False, planned=planned)
+        assert found.level == level
+        assert found.verdict == (REPRODUCED if level == LEVEL else OPEN)
 
 
 def test_holding_against_some_rivals_or_at_some_levels_only_is_open():

@@ -329,7 +329,7 @@ SHARES = [0.3, 0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8]
 @pytest.mark.parametrize("stops", [True, False])
 def test_a_sweep_of_large_clouds_ends_in_time(mode, stops, processor_clock):
     clouds, limit = pair_of_clouds(33_000, 3), 1.0
-    # It takes 1.4 s on an idle machine, and up to twice the processor time if a neighbour uses the same core.
+    # It takes 1.4 s on an idle machine, and twice the processor time if a neighbour uses the same core.
     most = 3.0
     taken = []
     while len(taken) < 4 and min(taken, default=np.inf) > most:  # processor time is noisy, too
