@@ -6,7 +6,7 @@ import pytest
 
 from workflows.blocks import Needs
 from workflows.compose import ConfigError
-from workflows.config import Experiment
+from workflows.config import DatasetSettings, Experiment
 from workflows.stages.plan import expand, plan_table
 
 ENTRY = {
@@ -24,6 +24,16 @@ def test_a_block_of_all_levels_has_all_shapes_and_one_trial():
     for chunk in plan.chunks:
         cells = {(each.shape, each.level) for each in chunk.instances}
         assert cells == {(s, level) for s in ("fish", "glyph") for level in (0.0, 0.02)}
+
+
+def test_the_runs_of_a_long_block_are_split_into_several_jobs():
+    plan = expand(EXPERIMENT, needs=Needs({"deformation": {"icp": 1}, "noise": {"icp": 1}}))
+    assert [len(chunk.instances) for chunk in plan.chunks] == [4, 2]
+    levels = [0.01 * each for each in range(6)]
+    entry = {**ENTRY, "tests": {"noise": levels}}
+    longer = EXPERIMENT.model_copy(update={"datasets": [DatasetSettings.model_validate(entry)]})
+    sizes = [len(chunk.instances) for chunk in expand(longer, needs=NEEDS).chunks]
+    assert sizes == [4, 4, 4] * 3
 
 
 def test_runs_are_needed_or_left_out_and_none_is_both():

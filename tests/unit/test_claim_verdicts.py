@@ -78,7 +78,9 @@ def test_every_rival_and_test_has_a_verdict_of_its_own():
 
 def test_planned_comparisons_without_runs_take_part_in_the_correction():
     """Otherwise the first comparison that is run would be decided at too lenient a level."""
-    finding = Finding("figure", parts=[Part("a", "b", "noise", "", Share(0.85, 40), {"above": 0.6})])
+    finding = Finding(
+        "figure", parts=[Part("a", "b", "noise", "", Share(0.85, 40), {"above": 0.6})]
+    )
     for planned, level in ((0, LEVEL), (1, LEVEL), (10, LEVEL / 10)):
         ((found,),) = decide([finding], quick=False, planned=planned)
         assert found.level == level

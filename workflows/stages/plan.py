@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MAX_NAME = 100  # letters of a folder's name
+MOST_IN_BLOCK = 4  # instances of a chunk of a block
 SHORT = {"similarity2d": "2d", "rigid3d": "3d"}
 
 
@@ -269,23 +270,31 @@ def _grid(entry: DatasetSettings, shapes: list[str]) -> Iterator[tuple[str, str,
 def _chunks(instances: Sequence[InstanceSpec], size: int) -> Iterator[Chunk]:
     for model in sorted({instance.model for instance in instances}):
         alike = [instance for instance in instances if instance.model == model]
-        n_chunks = -(-len(alike) // size)
-        for index in range(n_chunks):
-            # Every n-th instance, so that chunks have similar shares of easy and hard levels.
-            members = tuple(alike[index::n_chunks])
+        for index, members in enumerate(_mixed(alike, size)):
             content = digest([member.instance_id for member in members], 6)
             yield Chunk(f"{SHORT[model]}-{index:02d}-{content}", model, members)
 
 
+def _mixed(instances: Sequence[InstanceSpec], size: int) -> Iterator[tuple[InstanceSpec, ...]]:
+    """Yield parts of at most `size` instances with similar shares of easy and hard levels."""
+    number = -(-len(instances) // size)
+    for index in range(number):
+        yield tuple(instances[index::number])
+
+
 def _blocks(instances: Sequence[InstanceSpec], needs: Needs) -> Iterator[Chunk]:
-    """Yield a chunk for each needed trial and the methods that run on it; models are never mixed."""
+    """Yield the chunks of each needed trial and the methods that run on it; models are never mixed.
+
+    They are small, so that the runs of one slow method use several cores.
+    """
     blocks: dict[tuple[str, str, int, tuple[str, ...]], list[InstanceSpec]] = {}
     for each in instances:
         if users := needs.users(each.test, each.level, each.trial):
             blocks.setdefault((each.model, each.test, each.trial, users), []).append(each)
     for (model, _, trial, _), members in blocks.items():
-        content = digest([member.instance_id for member in members], 6)
-        yield Chunk(f"{SHORT[model]}-{trial:02d}-{content}", model, tuple(members))
+        for part in _mixed(members, MOST_IN_BLOCK):
+            content = digest([member.instance_id for member in part], 6)
+            yield Chunk(f"{SHORT[model]}-{trial:02d}-{content}", model, part)
 
 
 def _selected(instance: InstanceSpec, selection: Selection) -> bool:
