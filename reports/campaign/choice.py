@@ -10,70 +10,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from itertools import product
-from typing import Any
 
-import pandas as pd
-
-from baselines import registry
+from reports.campaign.comparisons import Comparison, comparisons
 from reports.campaign.forecast import Forecast, Times
-from reports.ledger import planned
 from reports.ledger.book import Claim, Ledger
-from reports.ledger.intervals import MIN_INSTANCES, MOST_NEEDED, NOT_RUN, OPEN, distance
+from reports.ledger.intervals import (
+    MIN_INSTANCES,
+    MIN_SPREAD,
+    MOST_NEEDED,
+    NOT_RUN,
+    OPEN,
+    distance,
+)
 from reports.ledger.judging import Judgement
 from reports.ledger.verdicts import FEW, WIDE, Decided
-from reports.theme import words
 from workflows.blocks import Needs
-from workflows.outlook import runs_here
 from workflows.stages.plan import Plan, PlannedRun, expand
 
 # A step has several blocks if they are expected to take less time: planning, judging and the tables take
 # about half a minute per step.
 STEP_S = 300.0
 NO_METHODS = "the experiment has none of the methods that the claim compares"
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """The methods that a check compares in a test, or in several tests together.
-
-    Attributes
-    ----------
-    tests : tuple of (str, tuple of float)
-        Each test with the compared levels.
-    methods : tuple of str
-    least : int
-        Blocks with the minimum number of instances for a decision.
-    can_refute : bool
-        Whether the other side refutes the claim, whatever the other comparisons show.
-    """
-
-    tests: tuple[tuple[str, tuple[float, ...]], ...]
-    methods: tuple[str, ...]
-    least: int
-    can_refute: bool = True
-
-    def __str__(self) -> str:
-        tests = (
-            f"{words(test)} {'–'.join(f'{level:g}' for level in sorted({levels[0], levels[-1]}))}"
-            for test, levels in self.tests
-        )
-        return f"{', '.join(tests)}: {', '.join(self.methods)}"
-
-    def has(self, run: PlannedRun) -> bool:
-        """Tell whether a run is one of the compared ones."""
-        levels = dict(self.tests).get(run.instance.test, ())
-        return run.method.name in self.methods and run.instance.level in levels
-
-    def more(self, needs: Needs, blocks: int) -> Needs:
-        """Return needs with further blocks of this comparison."""
-        for test, levels in self.tests:
-            for _ in range(blocks):
-                needs = needs.with_block(test, self.methods, levels)
-        return needs
-
-    def blocks_in(self, needs: Needs) -> int:
-        return min(needs.of_all(test, self.methods, levels) for test, levels in self.tests)
 
 
 @dataclass(frozen=True)
@@ -94,7 +51,9 @@ class Option:
     seconds : float
         The expected time until the claim is decided.
     obstacle : str
-        Why more blocks do not help.
+        Why more blocks cannot reproduce the claim, or cannot decide it.
+    helps : bool
+        Whether more blocks can decide it: despite an obstacle, another comparison may refute it.
     """
 
     claim: str
@@ -105,6 +64,12 @@ class Option:
     blocks: int
     seconds: float
     obstacle: str = ""
+    helps: bool = True
+
+    @property
+    def rank(self) -> tuple[bool, bool, float, str]:
+        """Sort key: the claim that is expected to be decided first comes first."""
+        return not self.helps, bool(self.obstacle), self.seconds, self.claim
 
 
 @dataclass(frozen=True)
@@ -143,7 +108,7 @@ class _State:
         """Return the needs with further blocks of comparisons, and the runs that they add."""
         needs, plan = self.needs, self.plan
         for comparison, number in blocks.items():
-            needs = comparison.more(needs, number)
+            needs = needs.joined(comparison.more(self.needs, number))
         earlier = {run.run_id for run in plan.runs()}
         runs = expand(plan.experiment, plan.selection, plan.config, needs).runs()
         return needs, [run for run in runs if run.run_id not in earlier]
@@ -169,58 +134,72 @@ def options(
         for each in judged
         if each.verdict in (OPEN, NOT_RUN)
     ]
-    return sorted(found, key=lambda option: (bool(option.obstacle), option.seconds, option.claim))
+    return sorted(found, key=lambda option: option.rank)
 
 
 def _option(
     claim: Claim, compared: Sequence[Comparison], found: Judgement, state: _State
 ) -> Option:
-    runs = {run.run_id: run for run in state.plan.runs()}
-    decided = [each for row in found.rows if not row.shown_only for each in row.decided]
-    open_ones = []
-    for comparison in compared:
-        own = [each for each in decided if _belongs(each, comparison, runs)]
-        if own and all(each.verdict != OPEN for each in own):
-            continue
-        open_ones.append(_opened(comparison, own, state))
+    decided = {
+        each.check for each in compared if each.any_is_enough and each.is_decided(each.of(found))
+    }
+    open_ones = [
+        _opened(each, each.of(found), state)
+        for each in compared
+        if each.check not in decided and not each.is_decided(each.of(found))
+    ]
     if not open_ones:
         nothing = Forecast(0, 0.0, 0)
-        return Option(claim.id, None, state.needs, nothing, nothing, 0, 0.0, NO_METHODS)
-    refuting = [each for each in open_ones if each.refutes and not each.obstacle]
-    chosen = min(refuting or open_ones, key=lambda each: (bool(each.obstacle), each.seconds))
-    deciding = [chosen] if refuting else open_ones
+        why = found.reason if compared else NO_METHODS
+        return Option(claim.id, None, state.needs, nothing, nothing, 0, 0.0, why, helps=False)
+    able = [each for each in open_ones if not each.obstacle]
+    refuting = [each for each in able if each.refutes]
+    chosen = min(refuting or able or open_ones, key=lambda each: each.seconds)
+    deciding = [chosen] if refuting else _needed(open_ones)
     obstacle = next((each.obstacle for each in deciding if each.obstacle), "")
     # methods that several comparisons share are run once
     expected = {e.comparison: min(e.blocks, state.left(e.comparison)) for e in deciding}
     seconds = state.times.of_runs(state.ahead(expected)[1]).seconds
-    return _stepped(claim.id, chosen, seconds, obstacle, state)
+    return _stepped(claim.id, chosen, seconds, obstacle, helps=bool(able), state=state)
 
 
-def _stepped(claim: str, chosen: _Open, seconds: float, obstacle: str, state: _State) -> Option:
+def _needed(open_ones: Sequence[_Open]) -> list[_Open]:
+    """Return the comparisons that reproduce a claim: of a check of which any is enough, the cheapest."""
+    needed = [each for each in open_ones if not each.comparison.any_is_enough]
+    alternatives: dict[int, list[_Open]] = {}
+    for each in open_ones:
+        if each.comparison.any_is_enough:
+            alternatives.setdefault(each.comparison.check, []).append(each)
+    return needed + [
+        min(same, key=lambda each: (bool(each.obstacle), each.seconds))
+        for same in alternatives.values()
+    ]
+
+
+def _stepped(
+    claim: str, chosen: _Open, seconds: float, obstacle: str, *, helps: bool, state: _State
+) -> Option:
     """Return the next step of a comparison: one block, or several short ones."""
     count = min(
         chosen.blocks, state.left(chosen.comparison), int(STEP_S // max(chosen.block.seconds, 1.0))
     )
-    needs, runs = state.ahead({chosen.comparison: 1 if obstacle else max(1, count)})
+    needs, runs = state.ahead({chosen.comparison: max(1, count)})
     step = state.times.of_runs(run for run in runs if run.run_id not in state.done)
     return Option(
-        claim, chosen.comparison, needs, step, chosen.block, chosen.blocks, seconds, obstacle
+        claim, chosen.comparison, needs, step, chosen.block, chosen.blocks, seconds, obstacle, helps
     )
 
 
-def _belongs(decided: Decided, comparison: Comparison, runs: Mapping[str, PlannedRun]) -> bool:
-    """Tell whether all runs behind a decision are runs of the comparison."""
-    own = [runs[run] for run in decided.part.runs if run in runs]
-    return bool(own) and all(comparison.has(run) for run in own)
-
-
 def _opened(comparison: Comparison, own: Sequence[Decided], state: _State) -> _Open:
-    """Return how many blocks are expected to decide a comparison, and which side its figure is on."""
+    """Return how many blocks are expected to decide a comparison, and which side its figures are on."""
     done = comparison.blocks_in(state.needs)
-    refuting = [each for each in own if comparison.can_refute and _is_refuting(each)]
-    found = [_blocks([each], done, comparison.least) for each in refuting] or [
-        _blocks(own, done, comparison.least)
-    ]
+    refuting = [] if comparison.any_is_enough else _refuting(comparison, own)
+    found = [_blocks([each], done) for each in refuting if each.verdict == OPEN]
+    if not found and len(own) < sum(figure.number for figure in comparison.figures):
+        found = [_unseen(comparison, done)]
+    elif not found:
+        each_alone = [_blocks([each], done) for each in own if each.verdict == OPEN]
+        found = each_alone if comparison.any_is_enough else [_blocks(own, done)]
     blocks, obstacle = min(found, key=lambda each: (bool(each[1]), each[0]))
     left = state.left(comparison)
     if not obstacle and blocks > left:
@@ -229,8 +208,22 @@ def _opened(comparison: Comparison, own: Sequence[Decided], state: _State) -> _O
     return _Open(comparison, block, blocks, obstacle, bool(refuting))
 
 
+def _refuting(comparison: Comparison, own: Sequence[Decided]) -> list[Decided]:
+    """Return the figures on the other side, if all methods that must agree are on it.
+
+    These are the variants of a method of which we do not know which one the authors used.
+    """
+    found = []
+    for figure in comparison.figures:
+        same = [e for e in own if e.part.cells == figure.cells]
+        wanted = sum(e.number for e in comparison.figures if e.cells == figure.cells)
+        if len(same) == wanted and all(_is_refuting(each) for each in same):
+            found += [each for each in same if each not in found]
+    return found
+
+
 def _is_refuting(decided: Decided) -> bool:
-    """Tell whether an open figure lies on the other side, and more instances can show that it does."""
+    """Tell whether a figure lies on the other side, and more instances can show that it does."""
     part = decided.part
     ((side, _),) = part.claimed.items()
     estimate, can_differ = part.estimate, part.rises or part.falls
@@ -240,18 +233,22 @@ def _is_refuting(decided: Decided) -> bool:
     elif side in ("above", "at_least"):
         can_differ = part.rises
         estimate = part.extremes.most if part.extremes else estimate
-    is_open = decided.verdict == OPEN and not part.cannot_refute and not can_differ
-    return is_open and distance(estimate, part.claimed) < 0.0
+    is_known = estimate.n >= MIN_SPREAD and not part.cannot_refute and not can_differ
+    return is_known and distance(estimate, part.claimed) < 0.0
 
 
-def _blocks(own: Sequence[Decided], done: int, least: int) -> tuple[int, str]:
+def _unseen(comparison: Comparison, done: int) -> tuple[int, str]:
+    """Return the blocks that a comparison needs at least, if its runs have shown no figure so far."""
+    why = "its runs have no such figure" if done >= comparison.least else ""
+    return max(1, comparison.least - done), why
+
+
+def _blocks(own: Sequence[Decided], done: int) -> tuple[int, str]:
     """Return the expected number of further blocks, and why they do not help.
 
     `done` is the number of blocks so far.
     """
     open_ones = [each for each in own if each.verdict == OPEN]
-    if not open_ones:  # no run yet
-        return max(1, least - done), ""
     lacking = [each for each in open_ones if each.why in (FEW, WIDE)]
     if not lacking:
         return 1, open_ones[0].why
@@ -263,39 +260,3 @@ def _blocks(own: Sequence[Decided], done: int, least: int) -> tuple[int, str]:
     if any(each.needed == MOST_NEEDED for each in lacking):
         return max(counts), f"an effect so small that it needs more than {MOST_NEEDED} instances"
     return max(1, *counts), ""
-
-
-def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
-    """Return the comparisons that decide a claim, those without methods in the plan left out."""
-    settings = [
-        (method.name, method.baseline, registry.effective_options(method.baseline, method.options),
-         method.n_inliers_ratio)
-        for method in plan.methods if runs_here(method)
-    ]  # fmt: skip
-    first = planned.first_block([entry.model_dump() for entry in plan.experiment.datasets])
-    found: dict[tuple[Any, ...], Comparison] = {}
-    for check in claim.checks:
-        if check.get("shown_only"):
-            continue
-        can_refute = not check.get("any")
-        for block, filled in product(
-            _by_test(check, planned.compared(check, first, book.axes)),
-            list(planned.pairs(check, book.roles, settings)),
-        ):
-            names = tuple(dict.fromkeys(name for each in filled for name in each))
-            tests = tuple(
-                (str(test), tuple(sorted(map(float, levels.unique()))))
-                for test, levels in block.groupby("test", sort=False)["level"]
-            )
-            least = math.ceil(MIN_INSTANCES / planned.instances(check, block))
-            if known := found.get((tests, names)):
-                least, can_refute = max(least, known.least), can_refute or known.can_refute
-            found[tests, names] = Comparison(tests, names, least, can_refute)
-    return list(found.values())
-
-
-def _by_test(check: Mapping[str, Any], block: pd.DataFrame) -> list[pd.DataFrame]:
-    """Return the instances of a check by test, or together if one figure is about all tests."""
-    if "test" in planned.columns_of(check, block):
-        return [part for _, part in block.groupby("test", sort=False)]
-    return [block] if len(block) else []

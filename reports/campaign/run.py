@@ -246,7 +246,7 @@ def _next(ahead: Sequence[tuple[str, Option]], left_s: float) -> tuple[str, Opti
     The time left does not change the order, so it does not depend on where calls were cut. If this claim
     cannot be decided in that time, no other is expected to be, and the next call finishes the step.
     """
-    helping = (each for each in ahead if not each[1].obstacle)
+    helping = (each for each in ahead if each[1].helps)
     return next(helping, None) if left_s > 0.0 else None
 
 
@@ -280,7 +280,7 @@ def _ahead(book: Ledger, campaigns: dict[str, Campaign]) -> list[tuple[str, Opti
         judged, plan, times = campaign.judged(book), campaign.plan(), campaign.times()
         of_claims = options(book, judged, plan, times, campaign.trials, campaign.done())
         found += [(name, option) for option in of_claims]
-    return sorted(found, key=lambda each: (bool(each[1].obstacle), each[1].seconds, each[1].claim))
+    return sorted(found, key=lambda each: each[1].rank)
 
 
 def _run(
@@ -366,14 +366,13 @@ def _print(
 ) -> None:
     """Print the verdicts, and what the open claims need."""
     by_claim = {option.claim: option for option in ahead}
-    table = Table("claim", "verdict", "hours of CPU", "next comparison", "its blocks", "obstacle")
+    table = Table("claim", "verdict", "hours of CPU", "obstacle")
     for campaign in campaigns.values():
         for found in campaign.judged(book):
             row = [found.id, found.verdict]
             if option := by_claim.get(found.id):
-                row += [
-                    f"{option.seconds / 3600:.1f}", str(option.comparison or ""),
-                    str(option.blocks), option.obstacle,
-                ]  # fmt: skip
+                row += [f"{option.seconds / 3600:.1f}", option.obstacle]
             table.add_row(*row)
     console.print(table)
+    if chosen := next((option for option in ahead if option.helps), None):
+        console.print(f"next      {chosen.claim}: {chosen.comparison}", soft_wrap=True)

@@ -151,6 +151,21 @@ class Experiment:
         )  # fmt: skip
         return methods_in(role, settings)
 
+    def planned_in(self, role: Role) -> list[str]:
+        """Return the methods that fit `role`, best first: the attempted ones, else the available ones.
+
+        If a role has several methods, those that were not attempted yet are included.
+        """
+        settings = [
+            (name, str(card.get("baseline")), {**card["parameters"], **card["options"]},
+             float(card["n_inliers_ratio"]))
+            for name, card in self.tables.cards.items()
+            if not card.get("unavailable") and "parameters" in card
+        ]  # fmt: skip
+        tried, every = self.methods_in(role), methods_in(role, settings)
+        is_whole = len(tried) >= role.n_choices if role.choices else bool(tried) and not role.every
+        return tried if is_whole else list(dict.fromkeys([*tried, *every]))
+
 
 def methods_in(
     role: Role, settings: Iterable[tuple[str, str, Mapping[str, Any], float]]

@@ -24,6 +24,7 @@ from workflows.compose import QUICK
 
 Parameters = Mapping[str, Any]
 GROUPING = ("test", "level")  # the default of ``by``
+Cells = frozenset[tuple[str, float]]  # tests with levels
 # Quantities of which a run at a limit shows only the minimum.
 WORK = ("time", "n_nodes", "n_assignments", "translation_time", "translation_nodes")
 # Share -> how more time can change it, and the value of the runs that it can change.
@@ -73,6 +74,8 @@ class Part:
     shown_only: bool = False
     cannot_refute: str = ""  # why the figure can reproduce a claim only
     cannot_show: str = ""  # why it can refute a claim only
+    methods: tuple[str, ...] = ()
+    cells: Cells = frozenset()  # of its first table
 
 
 @dataclass
@@ -104,7 +107,13 @@ class Finding:
         for table in tables:
             runs.update(zip(table["run_id"], table["limited"].astype(bool), strict=True))
             self.methods += [m for m in table["method"].unique() if m not in self.methods]
-        self.parts.append(Part(*names, *place, estimate, claimed, rises, falls, extremes, runs))
+        used = tuple(dict.fromkeys(m for table in tables for m in table["method"].unique()))
+        self.parts.append(
+            Part(
+                *names, *place, estimate, claimed, rises, falls, extremes, runs,
+                methods=used, cells=cells_of(tables[0]) if tables else frozenset(),
+            )
+        )  # fmt: skip
 
     def miss(self, what: str) -> None:
         if what not in self.missing:
@@ -119,6 +128,8 @@ class Source:
     experiment: Experiment | None
     roles: Mapping[str, Role]
     axes: Mapping[str, float] = field(default_factory=dict)  # test -> last level the paper shows
+    # Parameters of a check, runs of a method -> those of complete trials
+    complete: Callable[[Parameters, pd.DataFrame], pd.DataFrame] = lambda p, runs: runs
 
     def runs(
         self, role: str, p: Parameters, finding: Finding
@@ -129,7 +140,9 @@ class Source:
         for what in _absent(on_axes(self.experiment.cells, p, self.axes), p):
             finding.miss(what)
         tried = {label: on_axes(self.experiment.of_method(label), p, self.axes) for label in labels}
-        chosen = [(label, select(runs, label, p)) for label, runs in tried.items()]
+        chosen = [
+            (label, self.complete(p, select(runs, label, p))) for label, runs in tried.items()
+        ]
         filled = [(label, runs) for label, runs in chosen if len(runs)]
         title = self.roles[role].title
         if labels and len(labels) < self.roles[role].n_choices:
@@ -251,6 +264,11 @@ def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
     for column, value in p.get("where", {}).items():
         part = part[part[column] == value]
     return part
+
+
+def cells_of(table: pd.DataFrame) -> Cells:
+    """Return the tests and levels of a table."""
+    return frozenset(zip(table["test"].map(str), table["level"].map(float), strict=True))
 
 
 def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[tuple[str, str], pd.DataFrame]]:

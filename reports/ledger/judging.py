@@ -14,7 +14,7 @@ from reports.ledger.book import UNJUDGED as KINDS
 from reports.ledger.book import Claim, Ledger, ledger
 from reports.ledger.drawing import strips
 from reports.ledger.evidence import STUDY, Evidence, Experiment
-from reports.ledger.finding import Finding, Source, find, second
+from reports.ledger.finding import Finding, Parameters, Source, find, second
 from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED, VERDICTS
 from reports.ledger.verdicts import Row, decide, of_all, of_any, rows
 from reports.tables import limits_of
@@ -85,16 +85,13 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     findings: list[Finding] = []
     found: list[list[Row]] = []
     if (claim.experiment == STUDY and evidence.study) or experiment is not None:
-        source = Source(evidence, experiment, book.roles, book.axes)
-        findings = [find(source, entry) for entry in claim.checks]
+        source, findings, missing = _find(book, claim, evidence, experiment)
         quick = experiment is not None and experiment.is_quick
+        decided = decide(findings, quick=quick, missing=missing)
         found = [
-            rows(finding, decided, *second(source, entry))
-            for finding, decided, entry in zip(
-                findings,
-                decide(findings, quick=quick, planned=_planned(book, claim, experiment)),
-                claim.checks,
-                strict=True,
+            rows(finding, own, at, *second(source, entry))
+            for at, (finding, own, entry) in enumerate(
+                zip(findings, decided, claim.checks, strict=True)
             )
         ]
     verdict, reason = _verdict(claim, findings, found)
@@ -133,22 +130,33 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     )
 
 
-def _planned(book: Ledger, claim: Claim, experiment: Experiment | None) -> int:
-    """Return the number of comparisons that decide a claim once all planned runs exist."""
-    if experiment is None:
-        return 0
-    config, cards = experiment.tables.provenance.get("config", {}), experiment.tables.cards
-    settings = [
-        (name, str(card.get("baseline", "")), {**card.get("parameters", {}), **card.get("options", {})},
-         float(card.get("n_inliers_ratio", 1.0)))
-        for name, card in cards.items() if not card.get("unavailable")
-    ]  # fmt: skip
+def _find(
+    book: Ledger, claim: Claim, evidence: Evidence, experiment: Experiment | None
+) -> tuple[Source, list[Finding], int]:
+    """Run the checks of a claim; return their source and results, and how many figures are missing."""
+    config = {} if experiment is None else experiment.tables.provenance.get("config", {})
     first = planned.first_block(config.get("datasets", ()))
-    return sum(
-        planned.count(check, first, book.axes, book.roles, settings)
-        for check in claim.checks
-        if not check.get("shown_only")
-    )
+
+    def complete(p: Parameters, runs: pd.DataFrame) -> pd.DataFrame:
+        return planned.complete(p, planned.compared(p, first, book.axes), runs)
+
+    def fill(name: str) -> list[str]:
+        assert experiment is not None
+        return experiment.planned_in(book.roles[name])
+
+    source = Source(evidence, experiment, book.roles, book.axes, complete)
+    findings, lacking = [], 0
+    for entry in claim.checks:
+        finding = find(source, entry)
+        if not entry.get("shown_only") and not first.empty:
+            block = planned.compared(entry, first, book.axes)
+            absent = planned.missing(entry, block, fill, finding.parts)
+            number = sum(each.number for each in absent)
+            if number and (finding.parts or not finding.missing):
+                finding.miss(f"{number} of {number + len(finding.parts)} planned comparisons")
+            lacking += number
+        findings.append(finding)
+    return source, findings, lacking
 
 
 def count(judgements: list[Judgement]) -> list[tuple[str, int]]:

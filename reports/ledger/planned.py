@@ -1,18 +1,46 @@
-"""The comparisons of a check as planned, whether or not their runs exist yet."""
+"""The comparisons of a claim as planned, whether or not their runs exist yet.
+
+The runs of claims that need few trials are not run at all levels, and not in all tests. So what a claim
+compares is read from the config of the experiment, not from the runs.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
 import pandas as pd
 
-from reports.ledger.evidence import Role, methods_in
-from reports.ledger.finding import CHECKS, SHARED, Parameters, on_axes, select
+from reports.ledger.finding import (
+    CHECKS,
+    SHARED,
+    Cells,
+    Parameters,
+    Part,
+    cells_of,
+    on_axes,
+    select,
+)
 
-# Name, baseline, effective options and n_inliers ratio of a method.
-Setting = tuple[str, str, Mapping[str, Any], float]
+Fill = Callable[[str], list[str]]  # name of a role -> its methods
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A comparison: its methods, and the tests and levels that its figure is about.
+
+    ``number`` figures have these methods and cells, one per quantity.
+    """
+
+    methods: tuple[str, ...]
+    cells: Cells
+    number: int
+
+    def has(self, part: Part) -> bool:
+        """Tell whether a figure is one of this comparison."""
+        return self.cells == part.cells and set(part.methods) <= set(self.methods)
 
 
 def first_block(datasets: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
@@ -35,58 +63,74 @@ def compared(check: Parameters, first: pd.DataFrame, axes: Mapping[str, float]) 
     return select(on_axes(first, check, axes), "", {**check, "where": {}})
 
 
-def pairs(
-    check: Parameters, roles: Mapping[str, Role], settings: Sequence[Setting]
-) -> Iterator[list[list[str]]]:
-    """Yield the methods of each comparison in a test, by role; none if no method has one of the roles."""
+def places(check: Parameters, block: pd.DataFrame) -> list[pd.DataFrame]:
+    """Return the instances of each figure of a check."""
+    if block.empty:
+        return []
+    by = [column for column in _by(check) if column in block]
+    return [part for _, part in block.groupby(by, sort=False)] if by else [block]
+
+
+def is_by_test(check: Parameters) -> bool:
+    """Tell whether each test has figures of its own."""
+    return "test" in _by(check)
+
+
+def instances(check: Parameters, place: pd.DataFrame) -> int:
+    """Return how many instances of a block a figure has: all levels of a trial may be one."""
+    return len(place.drop_duplicates(SHARED)) if CHECKS[check["kind"]].per_trial else len(place)
+
+
+def roles(check: Parameters) -> Iterator[list[str]]:
+    """Yield the roles of each comparison in a test: each method with each rival."""
     always: list[str] = []
     for key in ("subject", "reference", "rival"):
         always += [check[key]] if isinstance(check.get(key), str) else check.get(key, [])
     for one, other in product(check.get("methods", [None]), check.get("rivals", [None])):
-        names = [*always, *(role for role in (one, other) if role is not None)]
-        filled = [methods_in(roles[name], settings) for name in names]
-        if all(filled):
-            yield filled
+        yield [*always, *(role for role in (one, other) if role is not None)]
 
 
-def columns_of(check: Parameters, table: pd.DataFrame) -> list[str]:
-    """Return the columns whose values have a comparison each."""
-    by = check.get("by", CHECKS[check["kind"]].by)
-    return [column for column in by if column in table]
+def comparisons(
+    check: Parameters, block: pd.DataFrame, filled: Sequence[Sequence[str]]
+) -> list[Planned]:
+    """Return the comparisons of the methods of some roles on the instances of a block."""
+    number = len(check.get("quantities", [""]))
+    return [
+        Planned(tuple(names), cells_of(place), number)
+        for place in places(check, block)
+        for names in product(*filled)
+    ]
 
 
-def instances(check: Parameters, block: pd.DataFrame) -> int:
-    """Return how many instances of a block the comparison with the fewest has."""
-    block = _units(check, block)
-    by = columns_of(check, block)
-    return int(block.groupby(by).size().min()) if by else len(block)
+def missing(
+    check: Parameters, block: pd.DataFrame, fill: Fill, parts: Sequence[Part]
+) -> list[Planned]:
+    """Return the comparisons of a check that have no figure; of some, fewer than planned."""
+    found = []
+    for names in roles(check):
+        filled = [fill(name) for name in names]
+        for each in comparisons(check, block, filled):
+            lacking = each.number - sum(each.has(part) for part in parts)
+            if lacking > 0:
+                found.append(replace(each, number=lacking))
+    return found
 
 
-def count(
-    check: Parameters,
-    first: pd.DataFrame,
-    axes: Mapping[str, float],
-    roles: Mapping[str, Role],
-    settings: Sequence[Setting],
-) -> int:
-    """Return the number of planned comparisons of a check."""
-    block = _units(check, compared(check, first, axes))
-    by = columns_of(check, block)
-    places = block.groupby(by).ngroups if by else min(1, len(block))
-    places *= len(check.get("quantities", [""]))
-    return places * sum(_methods(filled) for filled in pairs(check, roles, settings))
+def complete(check: Parameters, block: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
+    """Return the runs without trials that lack some of the levels and tests of a figure.
+
+    A figure about several levels would otherwise mix them as other claims happened to need them.
+    """
+    kept = pd.Series(True, runs.index)
+    cells = pd.Series(list(zip(runs["test"], runs["level"], strict=True)), runs.index, dtype=object)
+    for place in places(check, block):
+        here = runs[cells.isin(cells_of(place))]
+        needed = place.groupby(SHARED[:2]).size()
+        number = here.groupby(["method", *SHARED])["level"].transform("size")
+        shapes = pd.MultiIndex.from_frame(here[SHARED[:2]])
+        kept[here.index[number.to_numpy() < needed.reindex(shapes).fillna(0).to_numpy()]] = False
+    return runs[kept]
 
 
-def _units(check: Parameters, block: pd.DataFrame) -> pd.DataFrame:
-    """Return a row per instance in the sense of the check: all levels of a trial may be one."""
-    if not CHECKS[check["kind"]].per_trial:
-        return block
-    return block.drop_duplicates([*SHARED, "test"]).drop(columns="level")
-
-
-def _methods(filled: Sequence[Sequence[str]]) -> int:
-    """Return how many comparisons the methods of these roles have: each with each."""
-    number = 1
-    for names in filled:
-        number *= len(names)
-    return number
+def _by(check: Parameters) -> Sequence[str]:
+    return check.get("by", CHECKS[check["kind"]].by)

@@ -53,6 +53,7 @@ class Row:
     verdict: str
     decided: tuple[Decided, ...]
     shown_only: bool = False
+    check: int = 0  # number of the check in the claim
     second_title: str = ""
     second: Mapping[tuple[str, ...], intervals.Estimate] = field(default_factory=dict)
 
@@ -118,11 +119,11 @@ class Row:
         return "; ".join(texts)
 
 
-def decide(findings: Sequence[Finding], *, quick: bool, planned: int = 0) -> list[list[Decided]]:
+def decide(findings: Sequence[Finding], *, quick: bool, missing: int = 0) -> list[list[Decided]]:
     """Decide the comparisons of a claim, with Holm's correction over those of its verdict.
 
-    Comparisons that cannot be decided yet take part, and so do `planned` ones without runs: their number
-    is the same at every look.
+    Comparisons that cannot be decided yet take part, and so do the `missing` ones, which have no figure:
+    their number is the same at every look.
     """
     parts = [part for finding in findings for part in finding.parts]
     barred = [_barred(part, quick=quick) for part in parts]
@@ -134,7 +135,7 @@ def decide(findings: Sequence[Finding], *, quick: bool, planned: int = 0) -> lis
     ]
     family = [at for at, part in enumerate(parts) if not part.shown_only]
     p_values = [1.0 if barred[at] else min(p_of[at]) for at in family]
-    p_values += [1.0] * (planned - len(family))
+    p_values += [1.0] * missing
     levels = dict.fromkeys(range(len(parts)), LEVEL)
     levels |= dict(zip(family, holm(p_values, LEVEL), strict=False))
     decided = []
@@ -192,6 +193,7 @@ def _barred(part: Part, *, quick: bool) -> str:
 def rows(
     finding: Finding,
     decided: Sequence[Decided],
+    check: int,
     second_title: str = "",
     second: Mapping[tuple[str, ...], Any] | None = None,
 ) -> list[Row]:
@@ -203,7 +205,8 @@ def rows(
     return [
         Row(
             finding.figure, *key, of_all(d.verdict for d in members), tuple(members),
-            shown_only=members[0].part.shown_only, second_title=second_title, second=second or {},
+            shown_only=members[0].part.shown_only, check=check, second_title=second_title,
+            second=second or {},
         )
         for key, members in grouped.items()
     ]  # fmt: skip

@@ -81,8 +81,8 @@ def test_planned_comparisons_without_runs_take_part_in_the_correction():
     finding = Finding(
         "figure", parts=[Part("a", "b", "noise", "", Share(0.85, 40), {"above": 0.6})]
     )
-    for planned, level in ((0, LEVEL), (1, LEVEL), (10, LEVEL / 10)):
-        ((found,),) = decide([finding], quick=False, planned=planned)
+    for missing, level in ((0, LEVEL), (9, LEVEL / 10)):
+        ((found,),) = decide([finding], quick=False, missing=missing)
         assert found.level == level
         assert found.verdict == (REPRODUCED if level == LEVEL else OPEN)
 
