@@ -16,17 +16,18 @@ from rich.console import Console
 
 from baselines import registry
 from reports.campaign import choice, forecast, growth, run
-from reports.campaign.choice import Option, comparisons, options
+from reports.campaign import comparisons as comparing
+from reports.campaign.choice import Option, options
+from reports.campaign.comparisons import comparisons
 from reports.campaign.forecast import Forecast, Times, bytes_per_run
 from reports.campaign.growth import changes
 from reports.campaign.run import Campaign
-from reports.ledger import planned
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.finding import Part
-from reports.ledger.intervals import NOT_RUN, OPEN, Share
+from reports.ledger.intervals import NOT_RUN, OPEN, REPRODUCED, Share
 from reports.ledger.judging import judge
-from reports.ledger.verdicts import FEW, Decided
+from reports.ledger.verdicts import FEW, WIDE, Decided
 from reports.tables import Tables
 from workflows.blocks import Needs
 from workflows.config import load
@@ -134,7 +135,7 @@ def costly():
 @pytest.mark.parametrize("left_s", [1.0, 10000.0])
 def test_the_next_step_does_not_depend_on_the_time_left(costly, left_s):
     short = replace(costly, claim="short", step=replace(costly.step, seconds=100.0))
-    none = replace(costly, claim="none", step=replace(costly.step, seconds=1.0), obstacle="why")
+    none = replace(costly, claim="none", step=replace(costly.step, seconds=1.0), helps=False)
     ahead = [(NAME, none), (NAME, costly), (NAME, short)]
     assert run._next(ahead, left_s) == (NAME, costly)
     assert run._next(ahead, 0.0) is None
@@ -244,7 +245,7 @@ def test_a_claim_that_needs_more_trials_than_there_are_has_an_obstacle(unseen):
 
 @pytest.mark.parametrize(("share", "at_once"), [(100.0, 7), (2.5, 2), (0.5, 1)])
 def test_short_blocks_are_run_together(monkeypatch, share, at_once):
-    monkeypatch.setattr(choice, "_blocks", lambda *_: (7, ""))
+    monkeypatch.setattr(choice, "_unseen", lambda *_: (7, ""))
 
     def low_inlier():
         (option,) = ahead(times(), claim="low-inlier")
@@ -261,7 +262,7 @@ def test_short_blocks_are_run_together(monkeypatch, share, at_once):
 @pytest.mark.parametrize(
     ("claim", "blocks"),
     [
-        ("low-inlier", 10),  # of two shapes each
+        ("low-inlier", 27),  # of two shapes each: 54 right poses of 54 show a rate of 0.9
         ("occl-stable", 10),  # all levels of a trial are one instance
         ("faster", 2),  # six levels of two shapes
         ("bound-explains", 2),
@@ -275,17 +276,26 @@ def test_claims_without_runs_need_the_minimum_number_of_instances(unseen, claim,
 RIGID = "paper3d-40"
 
 
-def nonrigid(value: float, **fields) -> Option:
-    """The option of a claim, one of whose rivals has a success rate; claimed is less than 0.5."""
-    needs = Needs({"deformation": {"frs": 1}})
+def part(*methods: str, claimed: dict, estimate, levels=(0.01, 0.02, 0.03, 0.04, 0.05), **fields):
+    """A figure about deformation."""
+    cells = frozenset(("deformation", level) for level in levels)
+    return Part("a", "b", "c", "", estimate, claimed, methods=methods, cells=cells, **fields)
+
+
+def option_of(claim: str, needs: Needs, *decided: tuple[int, Decided], trials: int = 100) -> Option:
+    """The option of an open claim about the 3D tests with these decisions, each of a check."""
+    rows = tuple(SimpleNamespace(check=check, decided=(each,)) for check, each in decided)
+    judged = SimpleNamespace(id=claim, verdict=OPEN, rows=rows, reason="why")
     plan = expand(load(RIGID), None, RIGID, needs)
-    runs = {each.run_id: False for each in plan.runs() if each.instance.level > 0.0}
-    part = Part("FRS", "", "deformation", "", Share(value, 10), {"below": 0.5}, runs=runs, **fields)
-    row = SimpleNamespace(shown_only=False, decided=(Decided(part, OPEN, 0.01, FEW),))
-    judged = SimpleNamespace(id="nonrigid", verdict=OPEN, rows=(row,))
-    known = Times.of([], load(RIGID))
-    (option,) = options(ledger(), [judged], plan, known, 100)
+    (option,) = options(ledger(), [judged], plan, Times.of([], load(RIGID)), trials)
     return option
+
+
+def nonrigid(value: float, n: int = 10, verdict: str = OPEN, **fields) -> Option:
+    """The option of a claim, one of whose rivals has a success rate; claimed is less than 0.5."""
+    frs = part("frs", claimed={"below": 0.5}, estimate=Share(value, n), **fields)
+    needs = Needs({"deformation": {"frs": 1}})
+    return option_of("nonrigid", needs, (1, Decided(frs, verdict, 0.01, FEW)))
 
 
 def test_a_comparison_that_is_expected_to_refute_its_claim_is_enough():
@@ -296,23 +306,71 @@ def test_a_comparison_that_is_expected_to_refute_its_claim_is_enough():
 
 
 @pytest.mark.parametrize(
-    "case", [(0.3, {}), (0.7, {"cannot_refute": "why"}), (0.7, {"falls": True})]
+    "case",
+    [{"value": 0.3}, {"cannot_refute": "why"}, {"falls": True}, {"n": 4}, {"verdict": REPRODUCED}],
 )
 def test_otherwise_all_comparisons_of_a_claim_take_their_time(case):
-    option = nonrigid(case[0], **case[1])
+    option = nonrigid(**{"value": 0.7, **case})
     assert option.seconds > 3 * option.blocks * option.block.seconds
+    assert (option.comparison.methods == ("frs",)) <= (case != {"verdict": REPRODUCED})
 
 
-def test_a_check_of_which_one_comparison_is_enough_is_not_refuted_by_one():
-    claim = next(each for each in ledger().claims if each.id == "separate-3d")
-    found = comparisons(ledger(), claim, expand(load(RIGID), None, RIGID, NONE))
-    can_refute = {each.methods[-1]: each.can_refute for each in found}
-    assert can_refute["gore-norm-signature"] is False
-    assert any(can_refute.values())
+def test_a_comparison_with_an_obstacle_does_not_stop_those_that_could_refute_the_claim():
+    late = nonrigid(0.3, n=40)
+    assert (late.obstacle, late.helps) == ("", True)
+    wide = part("frs", claimed={"below": 0.5}, estimate=Share(0.499, 40))
+    needs = Needs({"deformation": {"frs": 4}})
+    option = option_of("nonrigid", needs, (1, Decided(wide, OPEN, 0.01, WIDE)))
+    assert option.obstacle.startswith("an effect so small")
+    assert option.helps
+    assert option.comparison.methods != ("frs",)
+    assert sorted([option, late], key=lambda each: each.rank) == [late, option]
+
+
+def test_figures_of_another_comparison_do_not_count():
+    """Those of a method alone are no figures of its comparison with a rival."""
+    alone = part("dcreg-paper", claimed={"at_most": 1.01}, estimate=Share(0.5, 40))
+    option = option_of("low-3d", NONE, (0, Decided(alone, REPRODUCED, 0.01)))
+    first = option_of("low-3d", NONE)
+    assert (option.seconds, option.comparison) == (first.seconds, first.comparison)
+
+
+def test_runs_without_a_figure_are_an_obstacle():
+    needs = Needs({"deformation": {"frs": 10, "dcreg-paper": 10}})
+    option = option_of("low-3d", needs)
+    assert option.obstacle == "its runs have no such figure"
+    assert option.helps
+
+
+def test_one_figure_on_the_claimed_side_is_enough_for_a_check_of_any():
+    gore = Part(
+        "a", "b", "c", "", Share(1.0, 40), {"above": 1.0},
+        methods=("dcreg-paper", "gore-norm-signature"), cells=frozenset({("separate_outliers", 0.5)}),
+    )  # fmt: skip
+    before = option_of("separate-3d", NONE)
+    option = option_of("separate-3d", NONE, (1, Decided(gore, REPRODUCED, 0.01)))
+    assert option.seconds < before.seconds
+    assert option.comparison.check == 0
+    wrong = Decided(replace(gore, estimate=Share(0.0, 40)), OPEN, 0.01, WIDE)
+    assert (
+        option_of("separate-3d", NONE, (1, wrong)).seconds > option.seconds
+    )  # refuted by all only
+
+
+def test_a_claim_that_is_open_for_another_reason_states_it():
+    (claim,) = (each for each in ledger().claims if each.id == "half-time")
+    own = comparisons(ledger(), claim, expand(load(RIGID), None, RIGID, NONE))
+    figures = [
+        (0, Decided(Part("a", "b", "c", "", Share(1.0, 40), {"within": [0.8, 1.25]},
+                         methods=each.methods, cells=each.figures[0].cells), REPRODUCED, 0.01))
+        for each in own
+    ]  # fmt: skip
+    option = option_of("half-time", NONE, *figures)
+    assert (option.obstacle, option.helps) == ("why", False)
 
 
 def test_methods_that_are_not_installed_are_not_compared(monkeypatch):
-    monkeypatch.setattr(choice, "runs_here", lambda method: method.name != "rpm_pa")
+    monkeypatch.setattr(comparing, "runs_here", lambda method: method.name != "rpm_pa")
     claim = next(each for each in ledger().claims if each.id == "faster")
     found = comparisons(ledger(), claim, expand(EXPERIMENT, None, NAME, NONE))
     names = {name for each in found for name in each.methods}
@@ -335,20 +393,9 @@ def test_methods_that_are_not_installed_are_not_compared(monkeypatch):
     ],
 )
 def test_all_comparisons_of_a_claim_are_planned(claim, number):
-    plan = expand(EXPERIMENT, None, NAME, NONE)
-    settings = [
-        (each.name, each.baseline, registry.effective_options(each.baseline, each.options),
-         each.n_inliers_ratio)
-        for each in plan.methods
-    ]  # fmt: skip
     (found,) = (each for each in ledger().claims if each.id == claim)
-    first = planned.first_block([entry.model_dump() for entry in EXPERIMENT.datasets])
-    counts = [
-        planned.count(check, first, ledger().axes, ledger().roles, settings)
-        for check in found.checks
-        if not check.get("shown_only")
-    ]
-    assert sum(counts) == number
+    planned = comparisons(ledger(), found, expand(EXPERIMENT, None, NAME, NONE))
+    assert sum(figure.number for each in planned for figure in each.figures) == number
 
 
 def test_a_block_has_only_the_levels_that_its_claim_compares():

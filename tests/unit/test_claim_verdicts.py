@@ -87,6 +87,40 @@ def test_planned_comparisons_without_runs_take_part_in_the_correction():
         assert found.verdict == (REPRODUCED if level == LEVEL else OPEN)
 
 
+def planning(found: Evidence, **tests: list[float]) -> Evidence:
+    """The evidence of an experiment with these levels of tests."""
+    (experiment,) = found.experiments.values()
+    entry = {"dataset": "d", "shapes": ["fish"], "tests": tests}
+    provenance = {**experiment.tables.provenance, "config": {"datasets": [entry]}}
+    return Evidence({"paper2d": Experiment(replace(experiment.tables, provenance=provenance))}, {})
+
+
+def test_a_claim_is_reproduced_by_all_of_its_planned_comparisons_only():
+    found = evidence(runs_of("paper", rmse=error(0.05)), runs_of("rival", rmse=error(0.1)))
+    levels = sorted(found.experiments["paper2d"].runs["level"].unique())
+    assert judged(planning(found, noise=levels), RATIO).verdict == REPRODUCED
+    partly = judged(planning(found, noise=levels, deformation=[0.01, 0.02]), RATIO)
+    assert partly.verdict == OPEN
+    assert f"2 of {len(levels) + 2} planned comparisons" in partly.reason
+    named = judged(planning(found, noise=levels, deformation=[0.01]), {**RATIO, "tests": ["noise"]})
+    assert named.verdict == REPRODUCED
+
+
+def test_a_figure_about_all_levels_has_trials_with_all_of_them_only():
+    """Other claims may need more trials of some levels, where the figure differs."""
+    ours, theirs = runs_of("paper", rmse=error(0.05)), runs_of("rival", rmse=error(0.1))
+    levels = sorted(ours["level"].unique())
+    cut = [runs[(runs["level"] == levels[0]) | (runs["trial"] < 5)] for runs in (ours, theirs)]
+    pooled = {**RATIO, "by": ["test"]}
+    for check, number in ((pooled, 5 * len(levels)), (RATIO, None)):
+        found = judged(planning(evidence(*cut), noise=levels), check)
+        numbers = [d.part.estimate.n for row in found.rows for d in row.decided]
+        if number:
+            assert numbers == [number]
+        else:
+            assert sorted(numbers) == sorted([5] * (len(levels) - 1) + [ours["trial"].nunique()])
+
+
 def test_holding_against_some_rivals_or_at_some_levels_only_is_open():
     both = evidence(runs_of("paper"), runs_of("rival", rmse=0.1))
     found = judged(both, {**RATIO, "rivals": ["rpm_htb", "rpm_pa"]})
