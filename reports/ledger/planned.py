@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from reports.ledger.finding import (
@@ -122,14 +123,23 @@ def complete(check: Parameters, block: pd.DataFrame, runs: pd.DataFrame) -> pd.D
     A figure about several levels would otherwise mix them as other claims happened to need them.
     """
     kept = pd.Series(True, runs.index)
-    cells = pd.Series(list(zip(runs["test"], runs["level"], strict=True)), runs.index, dtype=object)
     for place in places(check, block):
-        here = runs[cells.isin(cells_of(place))]
+        if len(cells_of(place)) == 1:
+            continue
+        here = runs[_is_in(place, runs)]
         needed = place.groupby(SHARED[:2]).size()
         number = here.groupby(["method", *SHARED])["level"].transform("size")
         shapes = pd.MultiIndex.from_frame(here[SHARED[:2]])
         kept[here.index[number.to_numpy() < needed.reindex(shapes).fillna(0).to_numpy()]] = False
     return runs[kept]
+
+
+def _is_in(place: pd.DataFrame, runs: pd.DataFrame) -> np.ndarray:
+    """Return for each run whether its test and level are those of a figure."""
+    found = np.zeros(len(runs), dtype=bool)
+    for test, levels in place.groupby("test")["level"]:
+        found |= (runs["test"].eq(test) & runs["level"].isin(levels.unique())).to_numpy()
+    return found
 
 
 def _by(check: Parameters) -> Sequence[str]:
