@@ -215,7 +215,7 @@ def _refuting(comparison: Comparison, own: Sequence[Decided]) -> list[Decided]:
     """
     found = []
     for figure in comparison.figures:
-        same = [e for e in own if e.part.cells == figure.cells]
+        same = [e for e in own if e.part.cells <= figure.cells]
         wanted = sum(e.number for e in comparison.figures if e.cells == figure.cells)
         if len(same) == wanted and all(_is_refuting(each) for each in same):
             found += [each for each in same if each not in found]
