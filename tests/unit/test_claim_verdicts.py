@@ -121,6 +121,13 @@ def test_a_figure_about_all_levels_has_trials_with_all_of_them_only():
             assert sorted(numbers) == sorted([5] * (len(levels) - 1) + [ours["trial"].nunique()])
 
 
+def test_runs_without_the_quantity_leave_a_value_about_all_levels_complete():
+    theirs = runs_of("rival", n_nodes=lambda level, draw: np.nan if level else 200.0 * draw)
+    found = planning(evidence(runs_of("paper"), theirs), noise=sorted(theirs["level"].unique()))
+    verdict = judged(found, {**RATIO, "quantity": "n_nodes", "by": ["test"]})
+    assert (verdict.verdict, verdict.runs) == (REPRODUCED, 60)
+
+
 def test_holding_against_some_rivals_or_at_some_levels_only_is_open():
     both = evidence(runs_of("paper"), runs_of("rival", rmse=0.1))
     found = judged(both, {**RATIO, "rivals": ["rpm_htb", "rpm_pa"]})
