@@ -76,10 +76,15 @@ def measured_times(plan: Plan, folder: Path, kept: dict[str, dict[str, Any]]) ->
 
 
 def runs_here(method: MethodSettings) -> bool:
+    return not why_not_here(method)
+
+
+def why_not_here(method: MethodSettings) -> str:
+    """Return why a method cannot run on this machine; empty if it can."""
     try:
-        return registry.load(method.baseline, **method.options).available() is None
-    except ImportError:
-        return False
+        return registry.load(method.baseline, **method.options).available() or ""
+    except ImportError as error:
+        return str(error)
 
 
 def kept_runs(plan: Plan, folder: Path) -> dict[str, dict[str, Any]]:

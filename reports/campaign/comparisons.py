@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -102,33 +102,39 @@ def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
             filled = [methods_in(book.roles[role], settings) for role in roles]
             if all(filled):
                 found.append(_comparison(at, check, block, filled))
-    return found
+    # the first decision of Holm's correction
+    level = LEVEL / max(1, sum(figure.number for each in found for figure in each.figures))
+    return [
+        replace(each, least=_least(claim.checks[each.check], each.least, level)) for each in found
+    ]
 
 
 def _comparison(
     at: int, check: Mapping[str, Any], block: pd.DataFrame, filled: Sequence[Sequence[str]]
 ) -> Comparison:
+    """Return a comparison, so far with the instances of a block as its `least`."""
     tests = tuple(
         (str(test), tuple(sorted(map(float, levels.unique()))))
         for test, levels in block.groupby("test", sort=False)["level"]
     )
-    fewest = min(planned.instances(check, place) for place in planned.places(check, block))
     return Comparison(
         check=at,
         any_is_enough=bool(check.get("any")),
         tests=tests,
         methods=tuple(dict.fromkeys(name for each in filled for name in each)),
         figures=tuple(planned.comparisons(check, block, filled)),
-        least=math.ceil(_least(check) / fewest),
+        least=min(planned.instances(check, place) for place in planned.places(check, block)),
     )
 
 
-def _least(check: Mapping[str, Any]) -> int:
-    """Return how many instances a decision needs at least: of shares, if all agree with the claim."""
-    if check["kind"] != "regret" and check.get("quantity") not in SHARES:
-        return MIN_INSTANCES
-    ((side, threshold),) = check["claimed"].items()
-    return Share(float(side in ("above", "at_least")), 1).needed(threshold, LEVEL) or MIN_INSTANCES
+def _least(check: Mapping[str, Any], of_block: int, level: float) -> int:
+    """Return how many blocks a decision needs at least: of shares, if all instances agree."""
+    needed = MIN_INSTANCES
+    if check["kind"] == "regret" or check.get("quantity") in SHARES:
+        ((side, threshold),) = check["claimed"].items()
+        best = Share(float(side in ("above", "at_least")), 1)
+        needed = best.needed(threshold, level) or MIN_INSTANCES
+    return math.ceil(needed / of_block)
 
 
 def _by_test(check: Mapping[str, Any], block: pd.DataFrame) -> list[pd.DataFrame]:

@@ -27,7 +27,7 @@ from reports.ledger.judging import Judgement, judge
 from reports.tables import Tables
 from workflows.archives import archived, folders, runs_of, runs_of_others
 from workflows.blocks import EVIDENCE, NEEDS, Needs
-from workflows.compose import QUICK
+from workflows.compose import QUICK, ConfigError
 from workflows.config import Experiment, Selection, load, origin
 from workflows.journal import journalled
 from workflows.live import View
@@ -210,6 +210,8 @@ def collect(
     """
     book, console = ledger(), Console()
     campaigns = {name: Campaign(name, directory) for name in names}
+    for name, campaign in campaigns.items():
+        _check(name, campaign.experiment)
     end = time.monotonic() + 3600.0 * hours
     run = functools.partial(_run, end=end, cores=cores, out=out, console=console)
     may_go_on = _finish_blocks(campaigns.values(), run)
@@ -238,6 +240,16 @@ def collect(
                 console.print(f"changed   {line}", soft_wrap=True)
     _print(console, book, campaigns, [option for _, option in ahead])
     return [option for _, option in ahead]
+
+
+def _check(name: str, experiment: Experiment) -> None:
+    """Refuse an experiment whose blocks are not known from its config."""
+    for entry in experiment.datasets:
+        if not entry.shapes:
+            raise ConfigError(
+                f"--experiments {name}: dataset {entry.dataset} has no list of shapes in the config; "
+                "state its shapes, as paper2d does"
+            )
 
 
 def _next(ahead: Sequence[tuple[str, Option]], left_s: float) -> tuple[str, Option] | None:

@@ -18,7 +18,7 @@ from dcreg.names import POSE_SCOPES
 from reports.tables import Tables, check_study
 from workflows.blocks import EVIDENCE
 from workflows.compose import QUICK
-from workflows.outcomes import attempted, is_timed, main_machine
+from workflows.outcomes import NOT_NEEDED, attempted, is_timed, main_machine
 
 STUDY = "bounds"  # has no planned runs: its tables are next to those of the experiments
 _TIER = re.compile(rf"-(\d+)(?:{QUICK})?$")  # experiments with another number of points
@@ -80,6 +80,11 @@ class Experiment:
     def is_quick(self) -> bool:
         """Whether this is the quick part of an experiment."""
         return self.tables.experiment.endswith(QUICK)
+
+    @property
+    def is_of_blocks(self) -> bool:
+        """Whether methods ran only on the blocks that some claim needed (`workflows.blocks`)."""
+        return bool((self.tables.runs["outcome"] == NOT_NEEDED).any())
 
     @property
     def variables(self) -> str:
@@ -157,10 +162,9 @@ class Experiment:
         If a role has several methods, those that were not attempted yet are included.
         """
         settings = [
-            (name, str(card.get("baseline")), {**card["parameters"], **card["options"]},
-             float(card["n_inliers_ratio"]))
-            for name, card in self.tables.cards.items()
-            if not card.get("unavailable") and "parameters" in card
+            (name, str(card.get("baseline")), {**card.get("parameters", {}), **card.get("options", {})},
+             float(card.get("n_inliers_ratio", 1.0)))
+            for name, card in self.tables.cards.items() if not card.get("unavailable")
         ]  # fmt: skip
         tried, every = self.methods_in(role), methods_in(role, settings)
         is_whole = len(tried) >= role.n_choices if role.choices else bool(tried) and not role.every

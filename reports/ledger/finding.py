@@ -88,6 +88,7 @@ class Finding:
     missing: list[str] = field(default_factory=list)
     rows: list[pd.DataFrame] = field(default_factory=list)  # of the study of bounds
     of_any: bool = False
+    absent: int = 0  # planned comparisons without a value
     # Roles with choices, and the methods that must agree.
     choices: list[tuple[Role, list[str]]] = field(default_factory=list)
 
@@ -128,8 +129,8 @@ class Source:
     experiment: Experiment | None
     roles: Mapping[str, Role]
     axes: Mapping[str, float] = field(default_factory=dict)  # test -> last level the paper shows
-    # Parameters of a check, runs of a method -> those of complete trials
-    complete: Callable[[Parameters, pd.DataFrame], pd.DataFrame] = lambda p, runs: runs
+    # Runs, a method, and the parameters of a check -> the runs that it compares, if it is not `select`
+    select: Callable[[pd.DataFrame, str, Parameters], pd.DataFrame] | None = None
 
     def runs(
         self, role: str, p: Parameters, finding: Finding
@@ -140,9 +141,8 @@ class Source:
         for what in _absent(on_axes(self.experiment.cells, p, self.axes), p):
             finding.miss(what)
         tried = {label: on_axes(self.experiment.of_method(label), p, self.axes) for label in labels}
-        chosen = [
-            (label, self.complete(p, select(runs, label, p))) for label, runs in tried.items()
-        ]
+        choose = self.select or select
+        chosen = [(label, choose(runs, label, p)) for label, runs in tried.items()]
         filled = [(label, runs) for label, runs in chosen if len(runs)]
         title = self.roles[role].title
         if labels and len(labels) < self.roles[role].n_choices:
@@ -268,7 +268,8 @@ def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
 
 def cells_of(table: pd.DataFrame) -> Cells:
     """Return the tests and levels of a table."""
-    return frozenset(zip(table["test"].map(str), table["level"].map(float), strict=True))
+    cells = table[["test", "level"]].drop_duplicates()
+    return frozenset(zip(cells["test"].map(str), cells["level"].map(float), strict=True))
 
 
 def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[tuple[str, str], pd.DataFrame]]:

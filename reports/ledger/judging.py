@@ -85,9 +85,12 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     findings: list[Finding] = []
     found: list[list[Row]] = []
     if (claim.experiment == STUDY and evidence.study) or experiment is not None:
-        source, findings, missing = _find(book, claim, evidence, experiment)
+        design = _design(book, experiment)
+        select = design.select if design else None
+        source = Source(evidence, experiment, book.roles, book.axes, select)
+        findings = [_find(source, entry, design) for entry in claim.checks]
         quick = experiment is not None and experiment.is_quick
-        decided = decide(findings, quick=quick, missing=missing)
+        decided = decide(findings, quick=quick, missing=sum(each.absent for each in findings))
         found = [
             rows(finding, own, at, *second(source, entry))
             for at, (finding, own, entry) in enumerate(
@@ -130,33 +133,28 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     )
 
 
-def _find(
-    book: Ledger, claim: Claim, evidence: Evidence, experiment: Experiment | None
-) -> tuple[Source, list[Finding], int]:
-    """Run the checks of a claim; return their source and results, and how many figures are missing."""
-    config = {} if experiment is None else experiment.tables.provenance.get("config", {})
-    first = planned.first_block(config.get("datasets", ()))
+def _design(book: Ledger, experiment: Experiment | None) -> planned.Design | None:
+    """Return what the claims compare in an experiment of blocks; None for others."""
+    if experiment is None or not experiment.is_of_blocks:
+        return None
+    datasets = (experiment.tables.provenance.get("config") or {}).get("datasets") or []
+    if not datasets or not all(entry.get("shapes") for entry in datasets):
+        return None
+    first = planned.first_block(datasets)
+    return planned.Design(first, book.axes, lambda name: experiment.planned_in(book.roles[name]))
 
-    def complete(p: Parameters, runs: pd.DataFrame) -> pd.DataFrame:
-        return planned.complete(p, planned.compared(p, first, book.axes), runs)
 
-    def fill(name: str) -> list[str]:
-        assert experiment is not None
-        return experiment.planned_in(book.roles[name])
-
-    source = Source(evidence, experiment, book.roles, book.axes, complete)
-    findings, lacking = [], 0
-    for entry in claim.checks:
-        finding = find(source, entry)
-        if not entry.get("shown_only") and not first.empty:
-            block = planned.compared(entry, first, book.axes)
-            absent = planned.missing(entry, block, fill, finding.parts)
-            number = sum(each.number for each in absent)
-            if number and (finding.parts or not finding.missing):
-                finding.miss(f"{number} of {number + len(finding.parts)} planned comparisons")
-            lacking += number
-        findings.append(finding)
-    return source, findings, lacking
+def _find(source: Source, entry: Parameters, design: planned.Design | None) -> Finding:
+    """Run a check, and count the planned comparisons that have no value."""
+    finding = find(source, entry)
+    if design is None or entry.get("shown_only"):
+        return finding
+    figures = design.figures(entry)
+    finding.absent = planned.missing(figures, finding.parts)
+    if finding.absent and (finding.parts or not finding.missing):
+        every = sum(each.number for each in figures)
+        finding.miss(f"{finding.absent} of {every} planned comparisons")
+    return finding
 
 
 def count(judgements: list[Judgement]) -> list[tuple[str, int]]:
@@ -199,7 +197,6 @@ def comparisons(judgements: list[Judgement]) -> pd.DataFrame:
 
 
 def _verdict(claim: Claim, findings: list[Finding], found: list[list[Row]]) -> tuple[str, str]:
-    missing = list(dict.fromkeys(name for finding in findings for name in finding.missing))
     if not findings:
         return NOT_RUN, f"no tables of {claim.experiment}"
     deciding = [
@@ -208,14 +205,18 @@ def _verdict(claim: Claim, findings: list[Finding], found: list[list[Row]]) -> t
         if not entry.get("shown_only")
     ]
     every = [row for _, each in deciding for row in each]
+    joint = [_joint(finding, each) for finding, each in deciding]
+    shown = [  # one value that agrees is enough for a check of any
+        finding for finding, verdict in zip((f for f, _ in deciding), joint, strict=True)
+        if finding.of_any and verdict == REPRODUCED
+    ]  # fmt: skip
+    missing = list(dict.fromkeys(
+        name for finding in findings if finding not in shown for name in finding.missing
+    ))  # fmt: skip
     if not every:
         lacking = missing or list(dict.fromkeys(f.figure for f in findings))
         return NOT_RUN, f"not in the tables: {'; '.join(lacking)}"
-    verdict = of_all(
-        (of_any if finding.of_any else of_all)(row.verdict for row in each)
-        for finding, each in deciding
-        if each
-    )
+    verdict = of_all(each for each in joint if each)
     reason = _counted(every)
     lacking = [f.figure for f, each in deciding if not each]
     if verdict == REPRODUCED and (missing or lacking):
@@ -224,6 +225,17 @@ def _verdict(claim: Claim, findings: list[Finding], found: list[list[Row]]) -> t
     if missing:
         reason += f"; not in the tables: {', '.join(missing)}"
     return verdict, reason
+
+
+def _joint(finding: Finding, own: list[Row]) -> str:
+    """Return the joint verdict of a check; empty without a value.
+
+    If any value is enough, those that are still missing could reproduce it.
+    """
+    if not own:
+        return ""
+    verdict = (of_any if finding.of_any else of_all)(row.verdict for row in own)
+    return OPEN if finding.of_any and verdict == NOT and finding.absent else verdict
 
 
 def _counted(every: list[Row]) -> str:

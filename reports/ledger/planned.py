@@ -1,13 +1,13 @@
 """The comparisons of a claim as planned, whether or not their runs exist yet.
 
-The runs of claims that need few trials are not run at all levels, and not in all tests. So what a claim
-compares is read from the config of the experiment, not from the runs.
+In tables of blocks, the tests and levels with runs are those that some claim has needed so far. So what a
+claim compares is read from the config of the experiment, not from the runs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -104,18 +104,43 @@ def comparisons(
     ]
 
 
-def missing(
-    check: Parameters, block: pd.DataFrame, fill: Fill, parts: Sequence[Part]
-) -> list[Planned]:
-    """Return the comparisons of a check that have no figure; of some, fewer than planned."""
-    found = []
-    for names in roles(check):
-        filled = [fill(name) for name in names]
-        for each in comparisons(check, block, filled):
-            lacking = each.number - sum(each.has(part) for part in parts)
-            if lacking > 0:
-                found.append(replace(each, number=lacking))
-    return found
+@dataclass(frozen=True)
+class Design:
+    """What the claims compare in an experiment of blocks.
+
+    Attributes
+    ----------
+    first : DataFrame
+        The instances of the first block of each test.
+    axes : mapping
+        Test -> last level that the paper shows.
+    fill : callable
+        Name of a role -> its methods.
+    """
+
+    first: pd.DataFrame
+    axes: Mapping[str, float]
+    fill: Fill
+
+    def select(self, runs: pd.DataFrame, method: str, check: Parameters) -> pd.DataFrame:
+        """Return the runs of a method that a check compares, those of incomplete trials left out."""
+        block = compared(check, self.first, self.axes)
+        own = select(runs, method, {**check, "levels": None})
+        return complete(check, block, own[_is_in(block, own)])
+
+    def figures(self, check: Parameters) -> list[Planned]:
+        """Return the comparisons of a check."""
+        block = compared(check, self.first, self.axes)
+        return [
+            each
+            for names in roles(check)
+            for each in comparisons(check, block, [self.fill(name) for name in names])
+        ]
+
+
+def missing(figures: Sequence[Planned], parts: Sequence[Part]) -> int:
+    """Return how many planned comparisons have no value."""
+    return sum(max(0, each.number - sum(map(each.has, parts))) for each in figures)
 
 
 def complete(check: Parameters, block: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:

@@ -30,6 +30,7 @@ from reports.ledger.judging import judge
 from reports.ledger.verdicts import FEW, WIDE, Decided
 from reports.tables import Tables
 from workflows.blocks import Needs
+from workflows.compose import ConfigError
 from workflows.config import load
 from workflows.integrity import sealed
 from workflows.stages.plan import expand
@@ -262,7 +263,7 @@ def test_short_blocks_are_run_together(monkeypatch, share, at_once):
 @pytest.mark.parametrize(
     ("claim", "blocks"),
     [
-        ("low-inlier", 27),  # of two shapes each: 54 right poses of 54 show a rate of 0.9
+        ("low-inlier", 33),  # two shapes; 66 right poses of 66 show that a rate is at least 0.9
         ("occl-stable", 10),  # all levels of a trial are one instance
         ("faster", 2),  # six levels of two shapes
         ("bound-explains", 2),
@@ -367,6 +368,13 @@ def test_a_claim_that_is_open_for_another_reason_states_it():
     ]  # fmt: skip
     option = option_of("half-time", NONE, *figures)
     assert (option.obstacle, option.helps) == ("why", False)
+
+
+def test_an_experiment_without_a_list_of_shapes_has_no_blocks(tmp_path):
+    with pytest.raises(
+        ConfigError, match="--experiments threedmatch: dataset threedmatch has no list"
+    ):
+        run.collect(0.0, ["threedmatch"], tmp_path, 1, tmp_path / "out")
 
 
 def test_methods_that_are_not_installed_are_not_compared(monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from claim_fixture import (
     LOW,
@@ -44,6 +45,7 @@ from reports.ledger.judging import judge_claim
 from reports.ledger.verdicts import decide
 from reports.tables import Tables
 from reports.theme import method_styles
+from workflows.outcomes import NOT_NEEDED
 
 # --- verdicts --------------------------------------------------------------------------------------
 
@@ -88,11 +90,18 @@ def test_planned_comparisons_without_runs_take_part_in_the_correction():
 
 
 def planning(found: Evidence, **tests: list[float]) -> Evidence:
-    """The evidence of an experiment with these levels of tests."""
+    """The evidence of blocks of an experiment with these levels of tests."""
     (experiment,) = found.experiments.values()
     entry = {"dataset": "d", "shapes": ["fish"], "tests": tests}
     provenance = {**experiment.tables.provenance, "config": {"datasets": [entry]}}
-    return Evidence({"paper2d": Experiment(replace(experiment.tables, provenance=provenance))}, {})
+    runs = experiment.tables.runs
+    left_out = runs.head(1).assign(run_id="left out", method="another", outcome=NOT_NEEDED)
+    tables = replace(
+        experiment.tables,
+        provenance=provenance,
+        runs=pd.concat([runs, left_out], ignore_index=True),
+    )
+    return Evidence({"paper2d": Experiment(tables)}, {})
 
 
 def test_a_claim_is_reproduced_by_all_of_its_planned_comparisons_only():
@@ -119,6 +128,38 @@ def test_a_figure_about_all_levels_has_trials_with_all_of_them_only():
             assert numbers == [number]
         else:
             assert sorted(numbers) == sorted([5] * (len(levels) - 1) + [ours["trial"].nunique()])
+
+
+@pytest.mark.parametrize(
+    ("levels", "verdict"), [([0.0, 0.1, 0.2], REPRODUCED), ([0.0, 0.1], NOT_RUN)]
+)
+def test_the_top_of_a_block_is_the_planned_one(levels, verdict):
+    """The highest level that some claim needed so far is not the top."""
+    ours, theirs = runs_of("paper", rmse=error(0.05)), runs_of("rival", rmse=error(0.1))
+    kept = [runs[runs["level"].isin(levels)] for runs in (ours, theirs)]
+    found = judged(planning(evidence(*kept), noise=[0.0, 0.1, 0.2]), {**RATIO, "levels": "top"})
+    assert found.verdict == verdict
+
+
+@pytest.mark.parametrize(("rmse", "verdict"), [(error(0.2), REPRODUCED), (error(0.02), OPEN)])
+def test_a_check_of_any_waits_for_missing_values_only_if_none_agrees(rmse, verdict):
+    found = evidence(runs_of("paper", rmse=error(0.1)), runs_of("rival", rmse=rmse))
+    levels = sorted(found.experiments["paper2d"].runs["level"].unique())
+    check = {**RATIO, "any": True}
+    assert judged(planning(found, noise=[*levels, 0.5]), check).verdict == verdict
+    assert judged(planning(found, noise=levels), check).verdict == (
+        REPRODUCED if verdict != OPEN else NOT
+    )
+
+
+def test_full_experiments_are_judged_by_their_runs():
+    """Not by their config: a part of one has fewer tests and levels."""
+    found = evidence(runs_of("paper", rmse=error(0.05)), runs_of("rival", rmse=error(0.1)))
+    runs = found.experiments["paper2d"].tables.runs
+    planned = planning(found, noise=[0.0, 0.7])
+    whole = replace(planned.experiments["paper2d"].tables, runs=runs)
+    assert judged(Evidence({"paper2d": Experiment(whole)}, {}), RATIO).verdict == REPRODUCED
+    assert judged(planned, RATIO).verdict == OPEN
 
 
 def test_runs_without_the_quantity_leave_a_value_about_all_levels_complete():

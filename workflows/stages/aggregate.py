@@ -19,7 +19,8 @@ from workflows.instances import read_problems
 from workflows.integrity import sealed_file
 from workflows.labels import display_names
 from workflows.metrics import METRICS
-from workflows.outcomes import OUTCOMES
+from workflows.outcomes import NOT_NEEDED, OUTCOMES
+from workflows.outlook import why_not_here
 from workflows.stages.clouds import CLOUDS, clouds
 from workflows.stages.plan import Plan, plan_table
 
@@ -263,7 +264,11 @@ def _points(points: np.ndarray) -> list[list[float]]:
 
 def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
     chosen = {axis: value for axis, value in plan.selection.model_dump().items() if value}
-    reasons = runs[runs["outcome"] == "unavailable"].groupby("method")["message"].first()
+    reasons = runs[runs["outcome"] == "unavailable"].groupby("method")["message"].first().to_dict()
+    needed = set(runs.loc[runs["outcome"] != NOT_NEEDED, "method"])
+    reasons |= {
+        method.name: why_not_here(method) for method in plan.methods if method.name not in needed
+    }
     names = display_names(plan.experiment.methods)
     return {
         "schema_version": records.SCHEMA_VERSION,
