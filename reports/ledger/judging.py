@@ -107,12 +107,14 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     if runs and experiment is not None:
         reason += f". {_limits(experiment, runs)}"
     command = book.commands[claim.experiment]
-    command += experiment.variables if experiment is not None else ""
-    if verdict == NOT_RUN:
-        whole = book.commands[claim.experiment]
+    if experiment is not None and experiment.is_of_blocks:
+        command = f"make evidence EXPERIMENTS={experiment.tables.experiment}"
+        reason += "; run more blocks: make evidence" if verdict == NOT_RUN else ""
+    elif verdict == NOT_RUN:
         is_part = experiment is not None and bool(experiment.variables)
-        reason += f"; run the {'whole ' * is_part}experiment: {whole}"
-        command = whole
+        reason += f"; run the {'whole ' * is_part}experiment: {command}"
+    elif experiment is not None:
+        command += experiment.variables
     return Judgement(
         id=claim.id,
         verdict=NO_VERDICT if claim.unjudged else verdict,
