@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from dcreg.status import Status
@@ -57,10 +58,11 @@ def main_machine(runs: pd.DataFrame) -> str:
 
 
 def is_timed(runs: pd.DataFrame) -> pd.Series:
-    """Tell whose times are compared: on the main machine, with the usual number of parallel jobs."""
+    """Tell whose times are compared: on the main machine, with its usual number of parallel jobs in a test."""
     here = runs["machine_id"] == main_machine(runs)
-    usual = attempted(runs[here])["parallel_jobs"].mode()
-    return here & (runs["parallel_jobs"] == usual.iloc[0]) if len(usual) else here
+    numbers = attempted(runs[here]).groupby("test")["parallel_jobs"]
+    usual = runs["test"].map(numbers.agg(lambda jobs: next(iter(jobs.mode()), np.nan)))
+    return here & ((runs["parallel_jobs"] == usual) | usual.isna())
 
 
 def comparable_times(runs: pd.DataFrame) -> pd.Series:

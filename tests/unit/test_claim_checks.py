@@ -278,6 +278,9 @@ def test_times_with_other_numbers_of_parallel_jobs_are_not_compared():
     runs = pd.concat([runs_of("paper"), runs_of("paper").iloc[:5], crowded])
     assert is_timed(runs).tolist() == [True] * 95 + [False] * len(crowded)
     assert comparable_times(runs).isna().sum() == len(crowded)
+    other_test = pd.concat([runs_of("paper"), crowded.assign(test="deformation")])
+    assert is_timed(other_test).all()
+    assert is_timed(runs.assign(parallel_jobs=np.nan)).all()
 
 
 def test_a_cost_that_doubles_is_as_sensitive_as_one_that_halves():
