@@ -58,7 +58,7 @@ def main_machine(runs: pd.DataFrame) -> str:
 
 
 def is_timed(runs: pd.DataFrame) -> pd.Series:
-    """Tell whose times are compared: on the main machine, with its usual number of parallel jobs in a test."""
+    """Tell whose times are compared: on the main machine, with the usual number of jobs in a test."""
     here = runs["machine_id"] == main_machine(runs)
     numbers = attempted(runs[here]).groupby("test")["parallel_jobs"]
     usual = runs["test"].map(numbers.agg(lambda jobs: next(iter(jobs.mode()), np.nan)))

@@ -33,7 +33,7 @@ def test_the_runs_of_a_long_block_are_split_into_several_jobs():
     entry = {**ENTRY, "tests": {"noise": levels}}
     longer = EXPERIMENT.model_copy(update={"datasets": [DatasetSettings.model_validate(entry)]})
     sizes = [len(chunk.instances) for chunk in expand(longer, needs=NEEDS).chunks]
-    assert sizes == [6, 6] * 3
+    assert sizes == [4, 4, 4] * 3
 
 
 def test_runs_are_needed_or_left_out_and_none_is_both():

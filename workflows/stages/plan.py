@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MAX_NAME = 100  # letters of a folder's name
-MOST_IN_BLOCK = 6  # instances of a chunk of a block
+MOST_IN_BLOCK = 4  # instances of a chunk of a block
 SHORT = {"similarity2d": "2d", "rigid3d": "3d"}
 
 
