@@ -98,9 +98,9 @@ def _other_choices(runs: pd.DataFrame, roles: dict[str, Role]) -> Iterator[pd.Da
             chosen = options_of(role) | dict(zip(role.choices, values, strict=True))
             same = runs[runs["method"] == name]
             yield same.assign(
-                method="-".join([name, *values]), options_effective=json.dumps(chosen),
-                display_name=f"{role.title} ({', '.join(values)})",
-                run_id="-".join(values) + same["run_id"],
+                method="-".join([name, *names]), options_effective=json.dumps(chosen),
+                display_name=f"{role.title} ({', '.join(names)})",
+                run_id="-".join(names) + same["run_id"],
             )  # fmt: skip
 
 

@@ -294,14 +294,14 @@ def option_of(claim: str, needs: Needs, *decided: tuple[int, Decided], trials: i
 
 def nonrigid(value: float, n: int = 10, verdict: str = OPEN, **fields) -> Option:
     """The option of a claim, one of whose rivals has a success rate; claimed is less than 0.5."""
-    frs = part("frs", claimed={"below": 0.5}, estimate=Share(value, n), **fields)
-    needs = Needs({"deformation": {"frs": 1}})
-    return option_of("nonrigid", needs, (1, Decided(frs, verdict, 0.01, FEW)))
+    rival = part("goicp-all", claimed={"below": 0.5}, estimate=Share(value, n), **fields)
+    needs = Needs({"deformation": {"goicp-all": 1}})
+    return option_of("nonrigid", needs, (1, Decided(rival, verdict, 0.01, FEW)))
 
 
 def test_a_comparison_that_is_expected_to_refute_its_claim_is_enough():
     option = nonrigid(0.7)
-    assert option.comparison.methods == ("frs",)
+    assert option.comparison.methods == ("goicp-all",)
     assert option.seconds == option.blocks * option.block.seconds
     assert option.blocks == math.ceil(Share(0.7, 10).needed(0.5, 0.01) / 10) - 1
 
@@ -313,19 +313,33 @@ def test_a_comparison_that_is_expected_to_refute_its_claim_is_enough():
 def test_otherwise_all_comparisons_of_a_claim_take_their_time(case):
     option = nonrigid(**{"value": 0.7, **case})
     assert option.seconds > 3 * option.blocks * option.block.seconds
-    assert (option.comparison.methods == ("frs",)) <= (case != {"verdict": REPRODUCED})
+    assert (option.comparison.methods == ("goicp-all",)) <= (case != {"verdict": REPRODUCED})
 
 
 def test_a_comparison_with_an_obstacle_does_not_stop_those_that_could_refute_the_claim():
     late = nonrigid(0.3, n=40)
     assert (late.obstacle, late.helps) == ("", True)
-    wide = part("frs", claimed={"below": 0.5}, estimate=Share(0.499, 40))
-    needs = Needs({"deformation": {"frs": 4}})
+    wide = part("goicp-all", claimed={"below": 0.5}, estimate=Share(0.499, 40))
+    needs = Needs({"deformation": {"goicp-all": 4}})
     option = option_of("nonrigid", needs, (1, Decided(wide, OPEN, 0.01, WIDE)))
     assert option.obstacle.startswith("an effect so small")
     assert option.helps
-    assert option.comparison.methods != ("frs",)
+    assert option.comparison.methods != ("goicp-all",)
     assert sorted([option, late], key=lambda each: each.rank) == [late, option]
+
+
+def test_methods_that_differ_by_a_choice_of_ours_refute_a_claim_together():
+    """FRS with and without a refinement of its pose."""
+    needs = Needs({"deformation": {"frs": 1, "frs-raw": 1}})
+    figures = [
+        (1, Decided(part(name, claimed={"below": 0.5}, estimate=Share(value, 10)), OPEN, 0.01, FEW))
+        for name, value in (("frs", 0.9), ("frs-raw", 0.1))
+    ]
+    one = option_of("nonrigid", needs, *figures)
+    both = option_of("nonrigid", needs, figures[0], (1, replace(figures[1][1], part=replace(
+        figures[1][1].part, estimate=Share(0.9, 10)))))  # fmt: skip
+    assert both.comparison.methods == ("frs", "frs-raw")
+    assert both.seconds < one.seconds
 
 
 def test_figures_of_another_comparison_do_not_count():
@@ -337,7 +351,7 @@ def test_figures_of_another_comparison_do_not_count():
 
 
 def test_runs_without_a_figure_are_an_obstacle():
-    needs = Needs({"deformation": {"frs": 10, "dcreg-paper": 10}})
+    needs = Needs({"deformation": {"goicp-all": 10, "dcreg-paper": 10}})
     option = option_of("low-3d", needs)
     assert option.obstacle == "its runs have no such figure"
     assert option.helps
