@@ -96,6 +96,7 @@ def _other_choices(runs: pd.DataFrame, roles: dict[str, Role]) -> Iterator[pd.Da
     for name, role in roles.items():
         for values in list(product(*(role.options[choice] for choice in role.choices)))[1:]:
             chosen = options_of(role) | dict(zip(role.choices, values, strict=True))
+            names = [str(value) for value in values]
             same = runs[runs["method"] == name]
             yield same.assign(
                 method="-".join([name, *names]), options_effective=json.dumps(chosen),
