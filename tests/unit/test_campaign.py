@@ -330,15 +330,15 @@ def test_a_comparison_with_an_obstacle_does_not_stop_those_that_could_refute_the
 
 def test_methods_that_differ_by_a_choice_of_ours_refute_a_claim_together():
     """FRS with and without a refinement of its pose."""
-    needs = Needs({"deformation": {"frs": 1, "frs-raw": 1}})
+    needs = Needs({"deformation": {"frs": 1, "frs-plain": 1}})
     figures = [
         (1, Decided(part(name, claimed={"below": 0.5}, estimate=Share(value, 10)), OPEN, 0.01, FEW))
-        for name, value in (("frs", 0.9), ("frs-raw", 0.1))
+        for name, value in (("frs", 0.9), ("frs-plain", 0.1))
     ]
     one = option_of("nonrigid", needs, *figures)
     both = option_of("nonrigid", needs, figures[0], (1, replace(figures[1][1], part=replace(
         figures[1][1].part, estimate=Share(0.9, 10)))))  # fmt: skip
-    assert both.comparison.methods == ("frs", "frs-raw")
+    assert both.comparison.methods == ("frs", "frs-plain")
     assert both.seconds < one.seconds
 
 

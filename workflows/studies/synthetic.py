@@ -62,7 +62,6 @@ CONFIG: dict[str, Any] = {
         {"name": "rpm_pa-coarse", "baseline": "rpm_pa", "options": {"epsilon0": 0.3}},
         {"name": "rpm_cav-ascents", "baseline": "rpm_cav", "options": {"ascents": 1}},
         {"name": "rpm_cav-two-ascents", "baseline": "rpm_cav", "options": {"ascents": 2}},
-        {"name": "dcreg-interval", "baseline": "dcreg", "options": {"bound": "interval"}},
     ],
     "vary": {"front_end": ["norm-signature", "fpfh-mutual", "oracle"]},
 }
