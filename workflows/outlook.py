@@ -14,7 +14,8 @@ from baselines import registry
 from dcreg.status import Status
 from workflows.archives import archived
 from workflows.compose import QUICK, ConfigError
-from workflows.config import Experiment, MethodSettings, Selection, load
+from workflows.config import Experiment, Selection, load
+from workflows.installed import runs_here
 from workflows.journal import journalled
 from workflows.stages.plan import Plan, PlannedRun, expand
 
@@ -73,18 +74,6 @@ def measured_times(plan: Plan, folder: Path, kept: dict[str, dict[str, Any]]) ->
         rows = kept_runs(quick, folder.with_name(quick.experiment.name))
         measured = {**times_of(quick.runs(), rows, plan.experiment), **measured}
     return measured
-
-
-def runs_here(method: MethodSettings) -> bool:
-    return not why_not_here(method)
-
-
-def why_not_here(method: MethodSettings) -> str:
-    """Return why a method cannot run on this machine; empty if it can."""
-    try:
-        return registry.load(method.baseline, **method.options).available() or ""
-    except ImportError as error:
-        return str(error)
 
 
 def kept_runs(plan: Plan, folder: Path) -> dict[str, dict[str, Any]]:

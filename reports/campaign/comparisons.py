@@ -21,7 +21,7 @@ from reports.ledger.planned import Planned
 from reports.ledger.verdicts import Decided
 from reports.theme import words
 from workflows.blocks import Needs
-from workflows.outlook import runs_here
+from workflows.installed import runs_here
 from workflows.stages.plan import Plan
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from workflows.config import Experiment
-from workflows.outlook import runs_here
+from workflows.installed import runs_here
 from workflows.stages.plan import PlannedRun
 
 CELL = ["method", "test", "level"]

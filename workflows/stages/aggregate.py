@@ -15,12 +15,12 @@ from baselines import registry
 from dcreg.files import whole_file
 from dcreg.status import Status
 from workflows import CHECKOUT, attribution, outcomes, provenance, records
+from workflows.installed import why_not_here
 from workflows.instances import read_problems
 from workflows.integrity import sealed_file
 from workflows.labels import display_names
 from workflows.metrics import METRICS
 from workflows.outcomes import NOT_NEEDED, OUTCOMES
-from workflows.outlook import why_not_here
 from workflows.stages.clouds import CLOUDS, clouds
 from workflows.stages.plan import Plan, plan_table
 
