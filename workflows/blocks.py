@@ -1,8 +1,8 @@
 """Blocks of paired instances: the part of an experiment that is run if claims need different trials.
 
-A block consists of all shapes of a test with the same number of trial, at the levels that its claim
-compares. `Needs` says how many blocks of a test each method is run on. The other methods of a block are
-planned and not run: their runs have the outcome *not needed*.
+A block is one trial of a test: all shapes, at the levels that some comparison needs. `Needs` states on
+how many trials each method runs, per test and level. The other methods are planned and not run on a
+block: their runs have the outcome *not needed*.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Numbers = int | Mapping[str, int]  # of trials: at all levels, or by level and `
 
 @dataclass(frozen=True)
 class Needs:
-    """The numbers of blocks: test -> method -> number of its trials, of all levels or of each."""
+    """Numbers of trials: test -> method -> one number for all levels, or one per level."""
 
     trials: Mapping[str, Mapping[str, Numbers]]
 
@@ -48,7 +48,7 @@ class Needs:
             part.write_text(json.dumps(self.trials, indent=1, sort_keys=True), encoding="utf-8")
 
     def of(self, method: str, test: str, level: float) -> int:
-        """Return the number of trials of a method."""
+        """Return on how many trials of a level a method runs."""
         return _at(self.trials.get(test, {}).get(method, 0), f"{level:g}")
 
     def users(self, test: str, level: float, trial: int) -> tuple[str, ...]:
@@ -62,7 +62,7 @@ class Needs:
         return min(numbers, default=0)
 
     def with_block(self, test: str, methods: Sequence[str], levels: Sequence[float]) -> Needs:
-        """Return needs in which all of these methods have one more block of a test.
+        """Return needs in which all of these methods have the next block that some of them lack.
 
         Only those run that do not have it, so a method that skipped blocks starts with the first one.
         """
@@ -75,7 +75,7 @@ class Needs:
         return self.joined(Needs({test: more}))
 
     def joined(self, other: Needs) -> Needs:
-        """Return needs with the larger number of both, of each test, method and level."""
+        """Return the larger of both numbers for each test, method and level."""
         trials = {test: dict(own) for test, own in self.trials.items()}
         for test, methods in other.trials.items():
             own = trials.setdefault(test, {})

@@ -7,6 +7,7 @@ from workflows.config import MethodSettings
 
 
 def runs_here(method: MethodSettings) -> bool:
+    """Tell whether a method is installed, and can run on this machine."""
     return not why_not_here(method)
 
 

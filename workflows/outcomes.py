@@ -19,7 +19,7 @@ class Group(NamedTuple):
     is_timed: bool = False  # time or memory decided: another execution may end elsewhere
 
 
-NOT_NEEDED = "not_needed"  # left out, because the claims that would use it are decided
+NOT_NEEDED = "not_needed"  # left out, because no block so far contains it
 GROUPS: dict[Status, Group] = {
     Status.OPTIMAL: Group("finished"),
     Status.CONVERGED: Group("finished"),
@@ -58,7 +58,10 @@ def main_machine(runs: pd.DataFrame) -> str:
 
 
 def is_timed(runs: pd.DataFrame) -> pd.Series:
-    """Tell whose times are compared: on the main machine, with the usual number of jobs in a test."""
+    """Return for each run whether its time is compared.
+
+    It ran on the main machine, with the most common number of parallel jobs of its test.
+    """
     here = runs["machine_id"] == main_machine(runs)
     numbers = attempted(runs[here]).groupby("test")["parallel_jobs"]
     usual = runs["test"].map(numbers.agg(lambda jobs: next(iter(jobs.mode()), np.nan)))

@@ -1,8 +1,8 @@
-"""Choose the next block: of the claim that is expected to be decided in the shortest time.
+"""Choose the next block. It belongs to the claim with the shortest expected time to a verdict.
 
-A claim consists of comparisons. One on the other side refutes it, and all on the claimed side reproduce
-it. So the comparisons of a claim are run one after the other: first one that is expected to refute it,
-else the one that takes the shortest time.
+Usually, one comparison on the other side refutes a claim, and all must agree to reproduce it. So the
+comparisons of a claim are run one after the other: one that is expected to refute it comes first, then
+the one with the shortest expected time.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from reports.ledger.verdicts import FEW, WIDE, Decided
 from workflows.blocks import Needs
 from workflows.stages.plan import Plan, PlannedRun, expand
 
-# A step has several blocks if they are expected to take less time: planning, judging and the tables take
-# about half a minute per step.
+# A step joins blocks as long as their expected time is at most this. Planning, judging and the tables
+# take about half a minute per step.
 STEP_S = 300.0
-NO_METHODS = "the experiment has none of the methods that the claim compares"
+NO_METHODS = "each comparison lacks a method that the experiment has and that is installed"
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Option:
     ----------
     claim : str
     comparison : Comparison or None
-        The one to run next; None if the experiment has none of the methods.
+        The one to run next; None if there is none.
     needs : Needs
         The blocks after its next step, which has one block or several short ones.
     step, block : Forecast
@@ -53,7 +53,7 @@ class Option:
     obstacle : str
         Why more blocks cannot reproduce the claim, or cannot decide it.
     helps : bool
-        Whether more blocks can decide it: despite an obstacle, another comparison may refute it.
+        Whether more blocks can decide the claim: some open comparison has no obstacle.
     """
 
     claim: str
@@ -124,8 +124,8 @@ def options(
 ) -> list[Option]:
     """Return the open claims about an experiment, the one expected to be decided first at the front.
 
-    `plan` has the needs so far; `trials` is the number of trials of the experiment's config. Runs in
-    `done` take no more time, such as those of a pilot.
+    `plan` has the needs so far; `trials` is the number of trials of the experiment's config. The forecast
+    of a step leaves out the runs in `done`, such as those of a pilot; the ranking counts them.
     """
     claims = {claim.id: claim for claim in book.claims}
     state = _State(plan, times, trials, done)
@@ -164,7 +164,7 @@ def _option(
 
 
 def _needed(open_ones: Sequence[_Open]) -> list[_Open]:
-    """Return the comparisons that reproduce a claim: of a check of which any is enough, the cheapest."""
+    """Return the comparisons that reproduce a claim: of a check with `any`, only the cheapest."""
     needed = [each for each in open_ones if not each.comparison.any_is_enough]
     alternatives: dict[int, list[_Open]] = {}
     for each in open_ones:
@@ -203,15 +203,17 @@ def _opened(comparison: Comparison, own: Sequence[Decided], state: _State) -> _O
     blocks, obstacle = min(found, key=lambda each: (bool(each[1]), each[0]))
     left = state.left(comparison)
     if not obstacle and blocks > left:
-        obstacle = f"it needs {done + blocks} trials, and the experiment has {state.trials}"
+        obstacle = (
+            f"a decision needs about {done + blocks} trials, but the config has {state.trials}"
+        )
     block = state.times.of_runs(state.ahead({comparison: 1})[1])
     return _Open(comparison, block, blocks, obstacle, bool(refuting))
 
 
 def _refuting(comparison: Comparison, own: Sequence[Decided]) -> list[Decided]:
-    """Return the figures on the other side, if all methods that must agree are on it.
+    """Return the figures on the other side, if all figures of the same tests and levels are on it.
 
-    These are the variants of a method of which we do not know which one the authors used.
+    Variants of a method must agree, if we do not know which one the authors used.
     """
     found = []
     for figure in comparison.figures:
@@ -238,8 +240,8 @@ def _is_refuting(decided: Decided) -> bool:
 
 
 def _unseen(comparison: Comparison, done: int) -> tuple[int, str]:
-    """Return the blocks that a comparison needs at least, if its runs have shown no figure so far."""
-    why = "its runs have no such figure" if done >= comparison.least else ""
+    """Return the minimum number of further blocks of a comparison that lacks a value, and its obstacle."""
+    why = "the runs so far give no value for this comparison" if done >= comparison.least else ""
     return max(1, comparison.least - done), why
 
 
@@ -258,5 +260,7 @@ def _blocks(own: Sequence[Decided], done: int) -> tuple[int, str]:
         target = MIN_INSTANCES if needed is None else needed
         counts.append(math.ceil(max(1, done) * target / max(n, 1)) - done)
     if any(each.needed == MOST_NEEDED for each in lacking):
-        return max(counts), f"an effect so small that it needs more than {MOST_NEEDED} instances"
+        return max(
+            counts
+        ), f"the effect is so small that a decision needs more than {MOST_NEEDED} instances"
     return max(1, *counts), ""

@@ -40,7 +40,7 @@ class Comparison:
     methods : tuple of str
     figures : tuple of Planned
     least : int
-        Blocks with the minimum number of instances for a decision.
+        Minimum number of blocks with enough instances for a decision.
     """
 
     check: int
@@ -52,7 +52,7 @@ class Comparison:
 
     def __str__(self) -> str:
         tests = (
-            f"{words(test)} {'–'.join(f'{level:g}' for level in sorted({levels[0], levels[-1]}))}"
+            f"{words(test)} {' to '.join(f'{level:g}' for level in sorted({levels[0], levels[-1]}))}"
             for test, levels in self.tests
         )
         return f"{', '.join(tests)}: {', '.join(self.methods)}"
@@ -86,7 +86,7 @@ class Comparison:
 
 
 def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
-    """Return the comparisons that decide a claim, those of methods that are not installed left out."""
+    """Return the deciding comparisons of a claim whose methods are installed."""
     settings = [
         (method.name, method.baseline, registry.effective_options(method.baseline, method.options),
          method.n_inliers_ratio)
@@ -102,7 +102,7 @@ def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
             filled = [methods_in(book.roles[role], settings) for role in roles]
             if all(filled):
                 found.append(_comparison(at, check, block, filled))
-    # the first decision of Holm's correction
+    # Holm's correction tests the smallest p-value at this level
     level = LEVEL / max(1, sum(figure.number for each in found for figure in each.figures))
     return [
         replace(each, least=_least(claim.checks[each.check], each.least, level)) for each in found
@@ -128,7 +128,7 @@ def _comparison(
 
 
 def _least(check: Mapping[str, Any], of_block: int, level: float) -> int:
-    """Return how many blocks a decision needs at least: of shares, if all instances agree."""
+    """Return the minimum number of blocks for a decision; for a share, if all instances agree."""
     needed = MIN_INSTANCES
     if check["kind"] == "regret" or check.get("quantity") in SHARES:
         ((side, threshold),) = check["claimed"].items()

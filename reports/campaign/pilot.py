@@ -1,4 +1,4 @@
-"""Pilots: the first runs of methods on tests without measured times, for the forecast of their block."""
+"""Pilots: first runs of methods on tests where they have no measured time, for a better forecast."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from reports.campaign.forecast import Forecast, Pair
 from workflows.blocks import Needs
 from workflows.config import ConfigError, Experiment, Selection
 
-# Seconds that unmeasured runs of a step may take, from which a pilot is worth its start.
+# A pilot precedes a step if the time limits of its unmeasured runs sum to at least this many seconds.
 PILOT_S = 600.0
 PILOTS = "pilots.json"  # file of the pilots that were begun, next to the needs
 

@@ -255,8 +255,7 @@ def _check(name: str, experiment: Experiment) -> None:
 def _next(ahead: Sequence[tuple[str, Option]], left_s: float) -> tuple[str, Option] | None:
     """Return the first option that more blocks help; None once no time is left.
 
-    The time left does not change the order, so it does not depend on where calls were cut. If this claim
-    cannot be decided in that time, no other is expected to be, and the next call finishes the step.
+    The order ignores the time left, so it is the same however the calls are split.
     """
     helping = (each for each in ahead if each[1].helps)
     return next(helping, None) if left_s > 0.0 else None

@@ -129,7 +129,7 @@ class Source:
     experiment: Experiment | None
     roles: Mapping[str, Role]
     axes: Mapping[str, float] = field(default_factory=dict)  # test -> last level the paper shows
-    # Runs, a method, and the parameters of a check -> the runs that it compares, if it is not `select`
+    # Runs, a method, and the parameters of a check -> the runs that it compares; `select` if None
     select: Callable[[pd.DataFrame, str, Parameters], pd.DataFrame] | None = None
 
     def runs(
@@ -173,7 +173,7 @@ class Kind:
     """A kind of check."""
 
     function: Check
-    by: Sequence[str] = GROUPING  # the columns of its comparisons if a claim names none
+    by: Sequence[str] = GROUPING  # the columns of its comparisons if a check names none
     per_trial: bool = False  # all levels of a trial are one instance
     of_study: bool = False  # of the study of bounds
 

@@ -109,7 +109,7 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     command = book.commands[claim.experiment]
     if experiment is not None and experiment.is_of_blocks:
         command = f"make evidence EXPERIMENTS={experiment.tables.experiment}"
-        reason += "; run more blocks: make evidence" if verdict == NOT_RUN else ""
+        reason += f"; run more blocks: {command}" if verdict == NOT_RUN else ""
     elif verdict == NOT_RUN:
         is_part = experiment is not None and bool(experiment.variables)
         reason += f"; run the {'whole ' * is_part}experiment: {command}"
@@ -208,7 +208,7 @@ def _verdict(claim: Claim, findings: list[Finding], found: list[list[Row]]) -> t
     ]
     every = [row for _, each in deciding for row in each]
     joint = [_joint(finding, each) for finding, each in deciding]
-    shown = [  # one value that agrees is enough for a check of any
+    shown = [  # one value that agrees is enough for a check with `any`
         finding for finding, verdict in zip((f for f, _ in deciding), joint, strict=True)
         if finding.of_any and verdict == REPRODUCED
     ]  # fmt: skip

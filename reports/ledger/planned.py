@@ -40,7 +40,7 @@ class Planned:
     number: int
 
     def has(self, part: Part) -> bool:
-        """Tell whether a figure is one of this comparison; runs without its quantity may be left out."""
+        """Tell whether a figure is one of this comparison; it may lack runs without its quantity."""
         is_here = bool(part.cells) and part.cells <= self.cells
         return is_here and set(part.methods) <= set(self.methods)
 
@@ -79,7 +79,7 @@ def is_by_test(check: Parameters) -> bool:
 
 
 def instances(check: Parameters, place: pd.DataFrame) -> int:
-    """Return how many instances of a block a figure has: all levels of a trial may be one."""
+    """Return how many instances a figure has per block: in some kinds, all levels of a trial are one."""
     return len(place.drop_duplicates(SHARED)) if CHECKS[check["kind"]].per_trial else len(place)
 
 
@@ -144,9 +144,9 @@ def missing(figures: Sequence[Planned], parts: Sequence[Part]) -> int:
 
 
 def complete(check: Parameters, block: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
-    """Return the runs without trials that lack some of the levels and tests of a figure.
+    """Return the runs of trials that have all levels and tests of a figure.
 
-    A figure about several levels would otherwise mix them as other claims happened to need them.
+    Otherwise, the weight of a level would depend on how often other claims needed it.
     """
     kept = pd.Series(True, runs.index)
     for place in places(check, block):

@@ -123,7 +123,7 @@ def decide(findings: Sequence[Finding], *, quick: bool, missing: int = 0) -> lis
     """Decide the comparisons of a claim, with Holm's correction over those of its verdict.
 
     Comparisons that cannot be decided yet take part, and so do the `missing` ones, which have no figure:
-    their number is the same at every look.
+    their number must not depend on when the results are examined.
     """
     parts = [part for finding in findings for part in finding.parts]
     barred = [_barred(part, quick=quick) for part in parts]

@@ -239,7 +239,7 @@ def test_a_claim_that_needs_more_trials_than_there_are_has_an_obstacle(unseen):
     judged = judge(ledger(), Evidence({}, {}), {plain_name(NAME)})
     plan = expand(EXPERIMENT, None, NAME, unseen[0].needs)
     found = options(ledger(), judged, plan, times(), 1)
-    obstacle = "it needs 10 trials, and the experiment has 1"
+    obstacle = "a decision needs about 10 trials, but the config has 1"
     assert any(option.obstacle == obstacle for option in found)
     assert bool(found[-1].obstacle)
 
@@ -322,7 +322,7 @@ def test_a_comparison_with_an_obstacle_does_not_stop_those_that_could_refute_the
     wide = part("goicp-all", claimed={"below": 0.5}, estimate=Share(0.499, 40))
     needs = Needs({"deformation": {"goicp-all": 4}})
     option = option_of("nonrigid", needs, (1, Decided(wide, OPEN, 0.01, WIDE)))
-    assert option.obstacle.startswith("an effect so small")
+    assert option.obstacle.startswith("the effect is so small")
     assert option.helps
     assert option.comparison.methods != ("goicp-all",)
     assert sorted([option, late], key=lambda each: each.rank) == [late, option]
@@ -353,7 +353,7 @@ def test_figures_of_another_comparison_do_not_count():
 def test_runs_without_a_figure_are_an_obstacle():
     needs = Needs({"deformation": {"goicp-all": 10, "dcreg-paper": 10}})
     option = option_of("low-3d", needs)
-    assert option.obstacle == "its runs have no such figure"
+    assert option.obstacle == "the runs so far give no value for this comparison"
     assert option.helps
 
 

@@ -140,7 +140,9 @@ def test_the_top_of_a_block_is_the_planned_one(levels, verdict):
     found = judged(planning(evidence(*kept), noise=[0.0, 0.1, 0.2]), {**RATIO, "levels": "top"})
     assert found.verdict == verdict
     assert found.command == "make evidence EXPERIMENTS=paper2d"
-    assert ("run more blocks: make evidence" in found.reason) == (verdict == NOT_RUN)
+    assert ("run more blocks: make evidence EXPERIMENTS=paper2d" in found.reason) == (
+        verdict == NOT_RUN
+    )
 
 
 @pytest.mark.parametrize(("rmse", "verdict"), [(error(0.2), REPRODUCED), (error(0.02), OPEN)])

@@ -66,7 +66,7 @@ class Chunk:
 
     @property
     def block(self) -> tuple[str, float, int]:
-        """Test, a level and trial of a chunk of a block, whose levels are run by the same methods."""
+        """Test, a level and trial of a chunk of a block; all its levels are run by the same methods."""
         return self.instances[0].test, self.instances[0].level, self.instances[0].trial
 
     @property
@@ -283,7 +283,7 @@ def _mixed(instances: Sequence[InstanceSpec], size: int) -> Iterator[tuple[Insta
 
 
 def _blocks(instances: Sequence[InstanceSpec], needs: Needs) -> Iterator[Chunk]:
-    """Yield the chunks of each needed trial and the methods that run on it; models are never mixed.
+    """Yield the chunks of each needed trial: of one model, and run by the same methods.
 
     They are small, so that the runs of one slow method use several cores.
     """
