@@ -63,6 +63,8 @@ def is_timed(runs: pd.DataFrame) -> pd.Series:
     It ran on the main machine, with the most common number of parallel jobs of its test.
     """
     here = runs["machine_id"] == main_machine(runs)
+    if runs.loc[here, "parallel_jobs"].nunique(dropna=False) <= 1:
+        return here
     numbers = attempted(runs[here]).groupby("test")["parallel_jobs"]
     usual = runs["test"].map(numbers.agg(lambda jobs: next(iter(jobs.mode()), np.nan)))
     return here & ((runs["parallel_jobs"] == usual) | usual.isna())

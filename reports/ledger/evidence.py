@@ -81,7 +81,7 @@ class Experiment:
         """Whether this is the quick part of an experiment."""
         return self.tables.experiment.endswith(QUICK)
 
-    @property
+    @cached_property
     def is_of_blocks(self) -> bool:
         """Whether methods ran only on the blocks that some claim needed (`workflows.blocks`)."""
         return bool((self.tables.runs["outcome"] == NOT_NEEDED).any())
