@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
+from functools import cached_property
 
 from reports.campaign.comparisons import Comparison, comparisons
 from reports.campaign.forecast import Forecast, Times
@@ -100,6 +101,11 @@ class _State:
     def needs(self) -> Needs:
         return self.plan.needs or Needs({})
 
+    @cached_property
+    def earlier(self) -> set[str]:
+        """The run_ids of all blocks so far."""
+        return {run.run_id for run in self.plan.runs()}
+
     def left(self, comparison: Comparison) -> int:
         """Return how many more blocks of a comparison the experiment has."""
         return max(0, self.trials - comparison.blocks_in(self.needs))
@@ -109,9 +115,8 @@ class _State:
         needs, plan = self.needs, self.plan
         for comparison, number in blocks.items():
             needs = needs.joined(comparison.more(self.needs, number))
-        earlier = {run.run_id for run in plan.runs()}
         runs = expand(plan.experiment, plan.selection, plan.config, needs).runs()
-        return needs, [run for run in runs if run.run_id not in earlier]
+        return needs, [run for run in runs if run.run_id not in self.earlier]
 
 
 def options(
@@ -140,13 +145,13 @@ def options(
 def _option(
     claim: Claim, compared: Sequence[Comparison], found: Judgement, state: _State
 ) -> Option:
-    decided = {
-        each.check for each in compared if each.any_is_enough and each.is_decided(each.of(found))
-    }
+    own = {each: each.of(found) for each in compared}
+    decided = {each for each in compared if each.is_decided(own[each])}
+    checks = {each.check for each in decided if each.any_is_enough}
     open_ones = [
-        _opened(each, each.of(found), state)
+        _opened(each, own[each], state)
         for each in compared
-        if each.check not in decided and not each.is_decided(each.of(found))
+        if each not in decided and each.check not in checks
     ]
     if not open_ones:
         nothing = Forecast(0, 0.0, 0)

@@ -208,12 +208,10 @@ def _verdict(claim: Claim, findings: list[Finding], found: list[list[Row]]) -> t
     ]
     every = [row for _, each in deciding for row in each]
     joint = [_joint(finding, each) for finding, each in deciding]
-    shown = [  # one value that agrees is enough for a check with `any`
-        finding for finding, verdict in zip((f for f, _ in deciding), joint, strict=True)
-        if finding.of_any and verdict == REPRODUCED
-    ]  # fmt: skip
+    # one value that agrees is enough for a check with `any`
     missing = list(dict.fromkeys(
-        name for finding in findings if finding not in shown for name in finding.missing
+        name for (finding, _), verdict in zip(deciding, joint, strict=True)
+        if not (finding.of_any and verdict == REPRODUCED) for name in finding.missing
     ))  # fmt: skip
     if not every:
         lacking = missing or list(dict.fromkeys(f.figure for f in findings))

@@ -46,14 +46,11 @@ class Planned:
 
 
 def first_block(datasets: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """Return a row per instance of the first trial of each test, from the datasets of a config.
-
-    An entry without shapes, which stands for all shapes of the dataset, has one row per level.
-    """
+    """Return a row per instance of the first trial of each test, from datasets with a list of shapes."""
     rows = [
         (entry["dataset"], shape, test, float(level), 0, "")
         for entry in datasets
-        for shape in entry.get("shapes") or [""]
+        for shape in entry["shapes"]
         for test, levels in entry["tests"].items()
         for level in levels
     ]
