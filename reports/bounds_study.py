@@ -91,7 +91,7 @@ def draw_boxes(tables: dict[str, pd.DataFrame], surface: str) -> MplFigure:
                 label="minimum objective found",
             )
             value.set_yscale("symlog", linthresh=0.1)
-            value.set_title(f"{instance}: {title}")
+            value.set_title(f"{instance}:\n{title}")
             loss.set(xscale="log", yscale="log", xlabel="box width (RMS radii)")
             _guides(loss, surface)
         axes[2 * i][0].set_ylabel("lower bound")
