@@ -46,7 +46,8 @@ LINES = {
     "assignment": "One-to-one matching and polish",
     "search": "Branch and bound, without geometry",
     "problem": "Checked and normalised problems",
-    "shared": "Compilation, names, statuses, files, text",
+    "jit": "Compiles kernels and keeps them on disk",
+    "shared": "Names, statuses, files, text",
 }
 
 
