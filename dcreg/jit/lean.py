@@ -12,7 +12,8 @@ from collections.abc import Iterable, Iterator
 from typing import Any, cast
 
 import llvmlite.binding as llvm
-from numba.core import ir, ssa, transforms
+from numba.core import inline_closurecall, ir, ssa, transforms
+from numba.core.inline_closurecall import InlineWorker
 from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.targetconfig import TargetConfig
 from numba.core.types.functions import Function
@@ -28,10 +29,19 @@ def lean_numba() -> Iterator[None]:
     on_lock.clear()  # two events for each of 60,000 calls of LLVM
     with contextlib.ExitStack() as changes:
         changes.callback(on_lock.extend, events)
-        for owner, name, changed in _changes():
-            changes.callback(setattr, owner, name, getattr(owner, name))
-            setattr(owner, name, changed)
+        for change in _changes():
+            changes.enter_context(_changed(*change))
         yield
+
+
+@contextlib.contextmanager
+def _changed(owner: Any, name: str, value: Any) -> Iterator[None]:
+    usual = getattr(owner, name)
+    setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        setattr(owner, name, usual)
 
 
 def _changes() -> Iterator[tuple[Any, str, Any]]:
@@ -41,6 +51,7 @@ def _changes() -> Iterator[tuple[Any, str, Any]]:
     yield ir.Expr, "list_vars", lambda self: _variables(self._kws.values())
     yield PostProcessor, "run", _with_run(PostProcessor.run)
     yield Function, "get_call_type", _with_memory(Function.get_call_type)
+    yield InlineWorker, "inline_function", _without_copies(InlineWorker.inline_function)
     yield ssa, "_logger", types.SimpleNamespace(debug=lambda *_: None)
 
 
@@ -80,6 +91,17 @@ def _with_run(usual: Any) -> Any:
         self.func_ir.generator_info = None
 
     return run
+
+
+def _without_copies(usual: Any) -> Any:
+    """Inline a function without copying it: it was parsed for this place only."""
+    no_copies = types.SimpleNamespace(deepcopy=lambda block: block)
+
+    def inline_function(*arguments: Any, **options: Any) -> Any:
+        with _changed(inline_closurecall, "copy", no_copies):
+            return usual(*arguments, **options)
+
+    return inline_function
 
 
 def _with_memory(usual: Any) -> Any:

@@ -8,6 +8,7 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from numba.core.caching import NullCache
 
@@ -17,7 +18,7 @@ from dcreg.driver.modes import find_mode
 from dcreg.families.rigid3d.cover import CongruentCover
 from dcreg.families.similarity2d.cover import NearestCover
 from dcreg.families.similarity2d.kernels.exclusion import divide_boxes
-from dcreg.jit import is_compiled
+from dcreg.jit import is_compiled, jit, lean
 from dcreg.names import BOUND_NAMES
 
 LIBRARY = Path(dcreg.__file__).parent
@@ -239,3 +240,35 @@ def test_a_kernel_without_a_cache_is_compiled_only_where_it_ran(monkeypatch):
     assert is_compiled(divide_boxes) == bool(divide_boxes.signatures)
     monkeypatch.setattr(type(divide_boxes), "signatures", property(lambda self: []))
     assert not is_compiled(divide_boxes)
+
+
+@jit
+def move_elements(values, grid, flags, at):
+    """Read and write elements by positive, negative and constant indices."""
+    values[0] = values[at] + values[-1]
+    grid[at, -1] = values[0] + grid[0, at]
+    grid[-at, 0] += 1
+    flags[at] = not flags[-1]
+    return grid[1, 2] + grid[at][at]
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int32, np.uint16])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_elements_are_those_of_python(dtype, order):
+    grid = np.asarray(np.arange(12).reshape(3, 4), dtype, order=order)
+    given = np.arange(5).astype(dtype), grid, np.array([True, False, True])
+    ours, plain = copy_of(given), copy_of(given)
+    assert move_elements(*ours, 2) == move_elements.py_func(*plain, 2)
+    for our, expected in zip(ours, plain, strict=True):
+        assert (our == expected).all()
+
+
+def copy_of(arrays):
+    return [array.copy(order="K") for array in arrays]
+
+
+def test_numba_is_as_before_after_a_compilation():
+    before = [(owner, name, getattr(owner, name)) for owner, name, _ in lean._changes()]
+    with lean.lean_numba():
+        assert all(getattr(owner, name) is not usual for owner, name, usual in before)
+    assert all(getattr(owner, name) is usual for owner, name, usual in before)
