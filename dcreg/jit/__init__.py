@@ -25,7 +25,7 @@ try:  # private parts of Numba, which a later version may move
     from numba.core import event
 
     from dcreg.jit.cache import KernelCache, cache_folder, forget_old_kernels
-    from dcreg.jit.compilers import InnerCompiler, KernelCompiler
+    from dcreg.jit.compilers import ForeignInnerCompiler, InnerCompiler, KernelCompiler
 
     HAS_CACHE = True
 except ImportError:
@@ -50,7 +50,8 @@ def when_compiling(announce: Callable[[], None]) -> Iterator[None]:
     """A context in which `announce` is called before a kernel is compiled for the first time.
 
     Loading kernels from the cache does not call it. Compiling allocates millions of objects that stay
-    alive: the garbage collector pauses until the context ends, which saves a tenth of the time.
+    alive: the garbage collector pauses until the context ends, which saves a tenth of the time. Until
+    then, Numba compiles with fewer steps, also for other threads (`dcreg.jit.lean`).
     """
     if not HAS_CACHE:
         yield
@@ -63,12 +64,15 @@ def when_compiling(announce: Callable[[], None]) -> Iterator[None]:
         def on_start(self, event: Any) -> None:
             if not self.announced:
                 self.announced = True
-                from dcreg.jit.lean import lean_numba
-
                 if gc.isenabled():
                     gc.disable()
                     undo.callback(gc.enable)
-                undo.enter_context(lean_numba())
+                with contextlib.suppress(
+                    ImportError, AttributeError
+                ):  # a Numba without these parts
+                    from dcreg.jit.lean import lean_numba
+
+                    undo.enter_context(lean_numba())
                 announce()
 
         def on_end(self, event: Any) -> None:
@@ -83,7 +87,7 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wra
 
 
 def _at_low_level(compile_core: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile at LLVM's level 1, not 3: in a tenth less time, and searches take as long.
+    """Compile at LLVM's level 1, not 3: in a tenth less time; searches take as long as before.
 
     Numba holds its lock while it compiles, so no other thread sees the level.
     """
@@ -99,31 +103,39 @@ def _at_low_level(compile_core: Callable[..., Any]) -> Callable[..., Any]:
     return compile_kernel
 
 
+def _is_own(function: Any) -> bool:
+    """Whether a function belongs to this library; some kernels of other methods would slow down."""
+    return function.__module__.startswith("dcreg.")
+
+
+def _numba_kernel(function: Any, compiler: dict[str, Any], **options: Any) -> Any:
+    kernel: Any = nb.njit(**_OPTIONS, **compiler, **options)(function)
+    if HAS_CACHE and _is_own(function):
+        kernel._compiler._compile_core = _at_low_level(kernel._compiler._compile_core)
+    return kernel
+
+
 def _make_kernel(function: Any, **options: Any) -> Any:
     """Return the compiled function, with its cache on disk."""
     if not HAS_CACHE:
-        return nb.njit(**_OPTIONS, **options)(function)
-    is_own = function.__module__.startswith("dcreg.")  # some kernels of other methods slow down
-    if is_own:
-        options = {"pipeline_class": KernelCompiler} | options
-    kernel: Any = nb.njit(**_OPTIONS, **options)(function)
-    if is_own:
-        kernel._compiler._compile_core = _at_low_level(kernel._compiler._compile_core)
+        return _numba_kernel(function, {}, **options)
+    compiler = {"pipeline_class": KernelCompiler} if _is_own(function) else {}
+    kernel = _numba_kernel(function, compiler, **options)
     if cache_folder(Path(function.__code__.co_filename)) is not None:
         kernel._cache = KernelCache(function)
     return kernel
 
 
 def _make_inner_kernel(function: Any, **options: Any) -> Any:
-    """Return a compiled function for other kernels, which needs a fifth less time.
+    """Return a compiled function for other kernels, which are cached with it.
 
     The first call from Python, as in a test, compiles another version of it.
     """
     if not HAS_CACHE:
         return _make_kernel(function, **options)
-    kernel = _make_kernel(
-        function, no_cpython_wrapper=True, pipeline_class=InnerCompiler, **options
-    )
+    inner = InnerCompiler if _is_own(function) else ForeignInnerCompiler
+    compiler = {"no_cpython_wrapper": True, "pipeline_class": inner}
+    kernel = _numba_kernel(function, compiler, **options)
 
     def add_overload(compiled: Any) -> None:
         kernel.overloads[tuple(compiled.signature.args)] = compiled

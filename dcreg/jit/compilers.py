@@ -18,11 +18,9 @@ from numba.core.compiler import Compiler
 from numba.core.cpu import CPUContext
 from numba.core.runtime.context import NRTContext
 
-_DATA, _SHAPE = 4, 5  # fields of Numba's arrays
-
 
 class _Library(JITCodeLibrary):
-    """Code for callers in Python."""
+    """Code that Python calls."""
 
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout  # they are optimised with what they call
@@ -32,21 +30,22 @@ class _Library(JITCodeLibrary):
         passes.run(self._final_module, builder)
 
 
-class _InnerLibrary(JITCodeLibrary):
-    """Code that is only linked into callers, so no machine code is generated for it alone."""
+class _ForeignInnerLibrary(JITCodeLibrary):
+    """Code of other packages that is only linked into callers: no machine code is generated for it."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _InnerLibrary(_ForeignInnerLibrary):
+    """Code of this library that is only linked into callers, and optimised there."""
 
     def _optimize_final_module(self) -> None:
         passes, builder = self._codegen._module_pass_manager(
             cost="cheap", opt=0, loop_vectorize=False
         )
         passes.run(self._final_module, builder)
-
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
-
-    def serialize_using_object_code(self) -> Any:
-        return self.serialize_using_bitcode()
 
 
 class _References(NRTContext):
@@ -58,7 +57,8 @@ class _References(NRTContext):
         if model.has_nrt_meminfo():
             found.append((kind, model.get_nrt_meminfo(builder, value)))
         for part, get in model.traverse(builder):
-            if self._context.data_model_manager[part].contains_nrt_meminfo():
+            is_known = not isinstance(part, types.DeferredType)
+            if not is_known or self._context.data_model_manager[part].contains_nrt_meminfo():
                 found.extend(self.get_meminfos(builder, part, get(value)))
         return found
 
@@ -67,6 +67,8 @@ class _Context(CPUContext):
     """Reads and writes single elements of contiguous arrays in a few instructions."""
 
     def get_function(self, fn: Any, sig: Any, _firstcall: bool = True) -> Any:
+        if self.enable_boundscheck:
+            return super().get_function(fn, sig, _firstcall)
         key = fn.get_impl_key(sig.as_function()) if isinstance(fn, types.Callable) else fn
         if key is operator.getitem and _is_element(*sig.args):
             return functools.partial(_get_element, self, sig)
@@ -89,6 +91,7 @@ def _is_element(array: Any, index: Any) -> bool:
     return (
         isinstance(array, types.Array)
         and array.layout == "C"
+        and array.ndim > 0
         and _is_number(array.dtype)
         and len(_axes(index)) == array.ndim
         and all(isinstance(axis, types.Integer) for axis in _axes(index))
@@ -99,13 +102,13 @@ def _axes(index: Any) -> tuple[Any, ...]:
     return index.types if isinstance(index, types.UniTuple | types.Tuple) else (index,)
 
 
-def _get_element(context: Any, sig: Any, builder: Any, args: Any) -> Any:
+def _get_element(context: Any, sig: Any, builder: Any, args: Any, loc: Any = None) -> Any:
     kind = sig.args[0]
     pointer = _pointer(context, builder, sig.args, *args)
     return context.unpack_value(builder, kind.dtype, pointer, align=None if kind.aligned else 1)
 
 
-def _set_element(context: Any, sig: Any, builder: Any, args: Any) -> None:
+def _set_element(context: Any, sig: Any, builder: Any, args: Any, loc: Any = None) -> None:
     kind = sig.args[0]
     pointer = _pointer(context, builder, sig.args, *args[:2])
     value = context.cast(builder, args[2], sig.args[2], kind.dtype)
@@ -115,16 +118,18 @@ def _set_element(context: Any, sig: Any, builder: Any, args: Any) -> None:
 
 def _pointer(context: Any, builder: Any, kinds: Any, array: Any, index: Any) -> Any:
     """Point to an element. As in Python, negative indices count from the end."""
+    fields = context.data_model_manager[kinds[0]]
+    data, shape = fields.get_field_position("data"), fields.get_field_position("shape")
     place = None
     for axis, kind in enumerate(_axes(kinds[1])):
         at = builder.extract_value(index, axis) if kinds[1] is not kind else index
         at = context.cast(builder, at, kind, types.intp)
-        size = builder.extract_value(array, [_SHAPE, axis])
+        size = builder.extract_value(array, [shape, axis])
         if kind.signed and not (isinstance(at, llvm_ir.Constant) and at.constant >= 0):
             is_negative = builder.icmp_signed("<", at, at.type(0))
             at = builder.select(is_negative, builder.add(at, size), at)
         place = at if place is None else builder.add(builder.mul(place, size), at)
-    return builder.gep(builder.extract_value(array, _DATA), [place])
+    return builder.gep(builder.extract_value(array, data), [place])
 
 
 class KernelCompiler(Compiler):
@@ -146,4 +151,11 @@ class KernelCompiler(Compiler):
 class InnerCompiler(KernelCompiler):
     """Compiles functions that only other kernels call: without an entry from Python."""
 
-    _library_class, _context_class = _InnerLibrary, _InnerContext
+    _library_class: Any = _InnerLibrary
+    _context_class: Any = _InnerContext
+
+
+class ForeignInnerCompiler(InnerCompiler):
+    """Compiles such functions of other packages, as well optimised as by Numba's own compiler."""
+
+    _library_class = _ForeignInnerLibrary

@@ -8,6 +8,7 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
+import numba as nb
 import numpy as np
 import pytest
 from numba.core.caching import NullCache
@@ -272,3 +273,36 @@ def test_numba_is_as_before_after_a_compilation():
     with lean.lean_numba():
         assert all(getattr(owner, name) is not usual for owner, name, usual in before)
     assert all(getattr(owner, name) is usual for owner, name, usual in before)
+
+
+def test_numba_is_as_before_after_contexts_of_two_threads():
+    """The context that began first may end first."""
+    before = [(owner, name, getattr(owner, name)) for owner, name, _ in lean._changes()]
+    first, second = lean.lean_numba(), lean.lean_numba()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert all(getattr(owner, name) is not usual for owner, name, usual in before)
+    second.__exit__(None, None, None)
+    assert all(getattr(owner, name) is usual for owner, name, usual in before)
+
+
+@pytest.mark.parametrize("strict_first", [True, False])
+def test_a_strict_kernel_does_not_take_the_maximum_of_a_reduction(strict_first):
+    """A reduction may assume finite numbers."""
+    strict, loose = (
+        nb.njit(error_model="numpy", fastmath=options)(lambda a, b: max(a, b))
+        for options in (set(), {"nnan"})
+    )
+    with lean.lean_numba():
+        for kernel in (strict, loose) if strict_first else (loose, strict):
+            kernel(1.0, 2.0)
+    code = [kernel.inspect_llvm((nb.float64, nb.float64)) for kernel in (strict, loose)]
+    assert ["nnan" in text for text in code] == [False, True]
+
+
+def test_a_compilation_without_the_private_parts_that_save_steps(copy):
+    code = "import sys\nsys.modules['dcreg.jit.lean'] = None\n"
+    code += "from dcreg.jit import when_compiling\nwith when_compiling(lambda: print('compiling')):\n    "
+    code += SUM.replace("\n", "\n    ")
+    assert run(code, copy).split() == ["compiling", "4.0"]

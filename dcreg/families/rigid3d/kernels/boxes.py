@@ -37,7 +37,7 @@ from dcreg.families.rigid3d.kernels.stationary import (
 from dcreg.families.rigid3d.kernels.vertices import VALUES_NEEDED, BoxStates, allocate_states
 from dcreg.families.rotation3d.kernels.caps import cap_costs
 from dcreg.families.rotation3d.kernels.geometry import extent
-from dcreg.jit import jit, jit_part
+from dcreg.jit import jit, jit_inner, jit_part
 
 # Boxes with rotations farther than this from the centre, as tangents of half the angle, are bounded by
 # caps only: the second-order loss exceeds the objective there, so the other bounds are vacuous.
@@ -88,7 +88,7 @@ def allocate_found(kept: np.ndarray) -> Found:
     )  # fmt: skip
 
 
-@jit
+@jit_inner
 def geometry(lower, upper, centre, half, buffer):
     """Express the box relative to its centre. Fills the next two; `buffer` is (8, 3)."""
     for c in range(7):

@@ -20,7 +20,7 @@ from dcreg.jit import jit, jit_inner, jit_part
 N_BEST = 60
 
 
-@jit
+@jit_inner
 def first_at_least(values, least):
     """Return the index of the first of ascending values that is at least `least`."""
     low, high = 0, values.size
@@ -82,7 +82,7 @@ def complete(p, r, out):
     return True
 
 
-@jit
+@jit_inner
 def frame(p, q, r, out):
     """Fill the frame of a triangle, as columns: along p q, in its plane, normal. False if degenerate."""
     return direction(p, q, out) and complete(p, r, out)

@@ -23,7 +23,7 @@ from dcreg.families.rigid3d.kernels.rough import (
 )
 from dcreg.families.rigid3d.kernels.stationary import costs_at_vertices
 from dcreg.families.rotation3d.kernels.geometry import extent
-from dcreg.jit import jit, jit_part
+from dcreg.jit import jit, jit_inner, jit_part
 
 # Each dual from another pose is multiplied by this factor. Full duals would stay too high for columns
 # that no row needs here, because auction steps only raise duals.
@@ -217,7 +217,7 @@ def _rounding(view, farthest, reach, found, duals):
     return off + 2.0 * _ROUNDING * (size + duals)
 
 
-@jit
+@jit_inner
 def raise_duals(view, attempt, level, kept, work):
     """Raise the duals by auction steps; return their bound on the sum of costs, and the next `level`.
 
@@ -234,7 +234,7 @@ def raise_duals(view, attempt, level, kept, work):
     return found, level
 
 
-@jit
+@jit_inner
 def region_rounding(view, shift_radius, rotation_radius, found, duals):
     """Bound the rounding error of single precision in a sum of k costs less squared displacements.
 

@@ -140,7 +140,7 @@ def _depths(rows, region, t0, t1, t2):
     return w0, w1, w2
 
 
-@jit
+@jit_inner
 def rows_exclude(rows, k, goal, region):
     """Tell whether row by row no optimum of a region has an objective below the cutoff.
 
@@ -213,7 +213,7 @@ def _joint_loss(rows, tau, region):
     return scale * trace ** (0.5**_SQUARINGS)
 
 
-@jit
+@jit_inner
 def jointly_excluded(rows, k, goal, region):
     """Tell whether no optimum of a region has an objective below the cutoff, with joint displacements."""
     squares = rows.squares
@@ -226,7 +226,7 @@ def jointly_excluded(rows, k, goal, region):
     return found - _joint_loss(rows, tau, region) >= goal
 
 
-@jit
+@jit_inner
 def fill_displacements(rows, inverse):
     """Fill ``rows.rotation_squares``: the maximum eigenvalues of [z]^T M^-1 [z], for inverse moments."""
     points, rotation_squares = rows.points, rows.rotation_squares

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from dcreg.families.rotation3d.kernels.geometry import chord_matrix
-from dcreg.jit import jit
+from dcreg.jit import jit, jit_inner
 
 _THINNEST = 0.01  # moment added to that of a triple, so that one thin triple does not decide alone
 
@@ -62,7 +62,7 @@ def improve_groups(squares, groups, swaps):
             groups[a, i], groups[b, j] = groups[b, j], groups[a, i]
 
 
-@jit
+@jit_inner
 def product(a, b, out):
     """Fill the quaternion product a b."""
     out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
@@ -71,7 +71,7 @@ def product(a, b, out):
     out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
 
 
-@jit
+@jit_inner
 def box_chord(centre, lower, upper):
     """Return the maximum distance of the unit quaternions of a box from that of its centre.
 

@@ -21,7 +21,7 @@ from dcreg.families.rigid3d.kernels.exclusion import (
     jointly_excluded,
     rows_exclude,
 )
-from dcreg.jit import jit, jit_part
+from dcreg.jit import jit, jit_inner, jit_part
 
 _THIN = 1e-3  # moment, or share of a moment, below which a triple excludes nothing
 _MAX_CHORD = 2.0  # |w| = 2 sin(angle / 2) of a half-turn, the maximum of any rotation
@@ -126,7 +126,7 @@ def principal_frame(p, q, r, axes, local):
     return l1, s11 + s22 - l1
 
 
-@jit
+@jit_inner
 def quaternion(B, out):
     """Fill the unit quaternion of the rotation matrix B, by its largest component."""
     trace = B[0, 0] + B[1, 1] + B[2, 2]
@@ -175,7 +175,7 @@ def _superpose(local, p, q, r, G, B):
     return h11 * co + h12 * si, h22 * co - h21 * si, h12 * co - h11 * si, moments
 
 
-@jit
+@jit_inner
 def store_region(regions, count, triple, B, centroid, shift_square, rotation_radii):
     """Store a region if there is room; return the number of regions."""
     if count < regions.triple.size:
@@ -188,7 +188,7 @@ def store_region(regions, count, triple, B, centroid, shift_square, rotation_rad
     return count + 1
 
 
-@jit
+@jit_inner
 def copy_region(regions, at, out, count):
     """Copy a region if there is room; return the number of regions."""
     if count < out.triple.size:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dcreg.assignment.kernels.selection import smallest_sum
-from dcreg.jit import jit, jit_part
+from dcreg.jit import jit, jit_inner, jit_part
 
 _DEPTH = 160  # maximum size of the stack of boxes
 
@@ -66,7 +66,7 @@ class Sides(NamedTuple):
     high: float
 
 
-@jit
+@jit_inner
 def fill_squares(points, pose, field, cells, squares):
     """Fill the squared distances of moved points, from below; `pose` is that of `Similarity2D`.
 
@@ -101,7 +101,7 @@ def _clipped_loss(sides, centre, half, cutoff):
     return lost
 
 
-@jit
+@jit_inner
 def joint_loss(weights, half):
     """Return the maximum of sum alpha_i |t + w x_i|^2 over a box of (w, t) around 0.
 
@@ -171,7 +171,7 @@ def _target_loss(sides, reach, shift):
     return own + 2.0 * shift * reach * sides.sum
 
 
-@jit
+@jit_inner
 def is_excluded(sides, centre, half, cutoff, work, levels):
     """Tell whether no optimum below the cutoff lies in a box, and whether division is of no use.
 
