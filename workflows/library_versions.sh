@@ -20,7 +20,8 @@ echo "$which: $needed"
 "$venv/bin/python" -m pip install --quiet --disable-pip-version-check $needed \
   pytest pytest-timeout hypothesis pydantic pyyaml pooch clarabel \
   matplotlib seaborn
-NUMBA_CACHE_DIR=$venv/numba "$venv/bin/python" -m pytest -q -p no:cacheprovider \
+# packages of other times may warn of each other's deprecated names
+NUMBA_CACHE_DIR=$venv/numba "$venv/bin/python" -m pytest -q -p no:cacheprovider -W ignore::DeprecationWarning \
   tests/golden/test_golden.py tests/unit/test_registration.py tests/unit/test_rigid.py \
   tests/unit/test_search.py tests/unit/test_certificate.py tests/unit/test_cli.py \
   tests/unit/test_plot.py tests/unit/test_public_api.py
