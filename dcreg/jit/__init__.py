@@ -12,6 +12,7 @@ import contextlib
 import functools
 import gc
 import logging
+import threading
 import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -50,19 +51,22 @@ def when_compiling(announce: Callable[[], None]) -> Iterator[None]:
     """A context in which `announce` is called before a kernel is compiled for the first time.
 
     Loading kernels from the cache does not call it. Compiling allocates millions of objects that stay
-    alive: the garbage collector pauses until the context ends, which saves a tenth of the time. Until
-    then, Numba compiles with fewer steps, also for other threads (`dcreg.jit.lean`).
+    alive: the garbage collector pauses until the context ends, which saves a tenth of the time. From the
+    first compilation until then, Numba compiles with fewer steps, also for other threads
+    (`dcreg.jit.lean`).
     """
     if not HAS_CACHE:
         yield
         return
-    undo = contextlib.ExitStack()
+    undo, once = contextlib.ExitStack(), threading.Lock()
 
     class FirstCompilation(event.Listener):
         announced = False
 
-        def on_start(self, event: Any) -> None:
-            if not self.announced:
+        def on_start(self, event: Any) -> None:  # of any thread
+            with once:
+                if self.announced:
+                    return
                 self.announced = True
                 if gc.isenabled():
                     gc.disable()
@@ -73,13 +77,20 @@ def when_compiling(announce: Callable[[], None]) -> Iterator[None]:
                     from dcreg.jit.lean import lean_numba
 
                     undo.enter_context(lean_numba())
-                announce()
+            announce()
 
         def on_end(self, event: Any) -> None:
             pass
 
-    with undo, event.install_listener("numba:compile", FirstCompilation()):
-        yield
+    listener = FirstCompilation()
+    with undo, event.install_listener("numba:compile", listener):
+        try:
+            yield
+        finally:
+            with once:
+                listener.announced = (
+                    True  # a compilation of another thread changes nothing from here
+                )
 
 
 # Kernels are called from Python and from each other, never by address: they need no entry in C.
@@ -104,7 +115,10 @@ def _at_low_level(compile_core: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _is_own(function: Any) -> bool:
-    """Whether a function belongs to this library; some kernels of other methods would slow down."""
+    """Whether a function belongs to this library.
+
+    Kernels of other methods keep Numba's level of optimisation, because some would slow down.
+    """
     return function.__module__.startswith("dcreg.")
 
 
@@ -121,13 +135,14 @@ def _make_kernel(function: Any, **options: Any) -> Any:
         return _numba_kernel(function, {}, **options)
     compiler = {"pipeline_class": KernelCompiler} if _is_own(function) else {}
     kernel = _numba_kernel(function, compiler, **options)
-    if cache_folder(Path(function.__code__.co_filename)) is not None:
+    is_checked = _SETTINGS.BOUNDSCHECK or _SETTINGS.DEBUGINFO_DEFAULT  # other code
+    if not is_checked and cache_folder(Path(function.__code__.co_filename)) is not None:
         kernel._cache = KernelCache(function)
     return kernel
 
 
 def _make_inner_kernel(function: Any, **options: Any) -> Any:
-    """Return a compiled function for other kernels, which are cached with it.
+    """Return a compiled function for other kernels, whose cached code contains it.
 
     The first call from Python, as in a test, compiles another version of it.
     """

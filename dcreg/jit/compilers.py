@@ -1,7 +1,8 @@
 """Compile kernels in less time than Numba's own compilers: to less code, optimised once.
 
-Numba optimises a function before it is linked into each caller, and again there. A kernel that only
-other kernels call is therefore prepared for inlining here, and its callers are optimised as a whole.
+Numba optimises a function before it is linked into each caller, and again there. An inner
+kernel of this library, which only other kernels call, is therefore only prepared for inlining; its
+callers are optimised as a whole.
 """
 
 from __future__ import annotations
@@ -57,10 +58,15 @@ class _References(NRTContext):
         if model.has_nrt_meminfo():
             found.append((kind, model.get_nrt_meminfo(builder, value)))
         for part, get in model.traverse(builder):
-            is_known = not isinstance(part, types.DeferredType)
-            if not is_known or self._context.data_model_manager[part].contains_nrt_meminfo():
+            inner = self._context.data_model_manager[part]
+            if inner.contains_nrt_meminfo() or _is_open(inner):
                 found.extend(self.get_meminfos(builder, part, get(value)))
         return found
+
+
+def _is_open(model: Any) -> bool:
+    """Whether a type contains one that is defined later, which may have references."""
+    return any(isinstance(part, types.DeferredType) for part in model.traverse_types())
 
 
 class _Context(CPUContext):
@@ -156,6 +162,6 @@ class InnerCompiler(KernelCompiler):
 
 
 class ForeignInnerCompiler(InnerCompiler):
-    """Compiles such functions of other packages, as well optimised as by Numba's own compiler."""
+    """Compiles inner functions of other packages, optimised as much as by Numba's own compiler."""
 
     _library_class = _ForeignInnerLibrary

@@ -46,11 +46,9 @@ def _enter() -> None:
 def _leave() -> None:
     """Restore Numba in the last context that ends, whichever began first."""
     with _LOCK:
-        if len(_OPEN) == 1:
-            _OPEN[0].close()
-            _OPEN.clear()
-        else:
-            _OPEN.pop()
+        last = _OPEN.pop()
+        if not _OPEN:
+            last.close()
 
 
 @contextlib.contextmanager
@@ -75,7 +73,9 @@ def _changes() -> Iterator[tuple[Any, str, Any]]:
     yield PostProcessor, "run", _with_run(PostProcessor.run)
     yield Function, "get_call_type", _with_memory(Function.get_call_type)
     yield InlineWorker, "inline_function", _without_copies(InlineWorker.inline_function)
-    yield typeinfer, "new_error_context", _no_context  # errors name their line without it
+    # type errors name their line without it, other errors only that in the function called
+    yield typeinfer, "new_error_context", _no_context
+    # warnings name the line of Numba that issues them, not that of the kernel
     yield _ERRORS.WarningsFixer, "catch_warnings", _no_context
     yield ssa, "_logger", types.SimpleNamespace(debug=lambda *_: None)
 
@@ -105,7 +105,7 @@ def _variables(values: Iterable[Any]) -> list[Any]:
 
 
 def _with_run(usual: Any) -> Any:
-    """Find which variables live where only for generators and where references are counted."""
+    """Skip the search for live variables, except for generators and where references are counted."""
 
     def run(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
         if emit_dels or self.func_ir.is_generator:
@@ -118,13 +118,15 @@ def _with_run(usual: Any) -> Any:
     return run
 
 
-def _without_copies(_: Any) -> Any:
+def _without_copies(usual: Any) -> Any:
     """Inline a function without copying it: it was parsed for this place only."""
     no_copies = types.SimpleNamespace(deepcopy=lambda block: block)
 
     def inline_function(
         self: Any, caller: Any, block: Any, at: int, function: Any, arg_typs: Any = None
     ) -> Any:
+        if self._permit_update_type_and_call_maps:  # an extension of Numba, which infers types here
+            return usual(self, caller, block, at, function, arg_typs)
         callee, free = self.run_untyped_passes(function), function.__code__.co_freevars
         with _changed(inline_closurecall, "copy", no_copies):
             return self.inline_ir(caller, block, at, callee, free, arg_typs=arg_typs)
@@ -133,7 +135,7 @@ def _without_copies(_: Any) -> Any:
 
 
 def _with_memory(usual: Any) -> Any:
-    """Remember the signatures of calls of Numba's own functions."""
+    """Remember the signatures of calls without keywords of functions that Numba provides."""
     known: dict[Any, tuple[Any, Any]] = {}
 
     def get_call_type(self: Any, context: Any, args: Any, kws: Any) -> Any:

@@ -1,5 +1,6 @@
 """The cache of compiled kernels: what is compiled when, and that machine code fits its sources."""
 
+import gc
 import json
 import os
 import shutil
@@ -11,9 +12,11 @@ from pathlib import Path
 import numba as nb
 import numpy as np
 import pytest
+from numba.core import event
 from numba.core.caching import NullCache
 
 import dcreg
+from dcreg import jit as jit_module
 from dcreg.driver import warm_up
 from dcreg.driver.modes import find_mode
 from dcreg.families.rigid3d.cover import CongruentCover
@@ -306,3 +309,18 @@ def test_a_compilation_without_the_private_parts_that_save_steps(copy):
     code += "from dcreg.jit import when_compiling\nwith when_compiling(lambda: print('compiling')):\n    "
     code += SUM.replace("\n", "\n    ")
     assert run(code, copy).split() == ["compiling", "4.0"]
+
+
+def test_a_compilation_after_the_end_of_a_context_changes_nothing():
+    """As when another thread begins one at that moment."""
+    heard = []
+    with jit_module.when_compiling(lambda: heard.append(True)):
+        listener = numba_events()[-1]
+    listener.on_start(None)
+    assert not heard
+    assert not lean._OPEN
+    assert gc.isenabled()
+
+
+def numba_events():
+    return event._registered["numba:compile"]
