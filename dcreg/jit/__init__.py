@@ -71,9 +71,8 @@ def when_compiling(announce: Callable[[], None]) -> Iterator[None]:
                 if gc.isenabled():
                     gc.disable()
                     undo.callback(gc.enable)
-                with contextlib.suppress(
-                    ImportError, AttributeError
-                ):  # a Numba without these parts
+                # another Numba may lack some of these parts
+                with contextlib.suppress(ImportError, AttributeError):
                     from dcreg.jit.lean import lean_numba
 
                     undo.enter_context(lean_numba())
@@ -88,9 +87,7 @@ def when_compiling(announce: Callable[[], None]) -> Iterator[None]:
             yield
         finally:
             with once:
-                listener.announced = (
-                    True  # a compilation of another thread changes nothing from here
-                )
+                listener.announced = True  # other threads change nothing from here on
 
 
 # Kernels are called from Python and from each other, never by address: they need no entry in C.
@@ -122,8 +119,8 @@ def _is_own(function: Any) -> bool:
     return function.__module__.startswith("dcreg.")
 
 
-def _numba_kernel(function: Any, compiler: dict[str, Any], **options: Any) -> Any:
-    kernel: Any = nb.njit(**_OPTIONS, **compiler, **options)(function)
+def _numba_kernel(function: Any, **options: Any) -> Any:
+    kernel: Any = nb.njit(**_OPTIONS, **options)(function)
     if HAS_CACHE and _is_own(function):
         kernel._compiler._compile_core = _at_low_level(kernel._compiler._compile_core)
     return kernel
@@ -131,12 +128,11 @@ def _numba_kernel(function: Any, compiler: dict[str, Any], **options: Any) -> An
 
 def _make_kernel(function: Any, **options: Any) -> Any:
     """Return the compiled function, with its cache on disk."""
-    if not HAS_CACHE:
-        return _numba_kernel(function, {}, **options)
-    compiler = {"pipeline_class": KernelCompiler} if _is_own(function) else {}
-    kernel = _numba_kernel(function, compiler, **options)
-    is_checked = _SETTINGS.BOUNDSCHECK or _SETTINGS.DEBUGINFO_DEFAULT  # other code
-    if not is_checked and cache_folder(Path(function.__code__.co_filename)) is not None:
+    if HAS_CACHE and _is_own(function):
+        options["pipeline_class"] = KernelCompiler
+    kernel = _numba_kernel(function, **options)
+    is_plain = not (_SETTINGS.BOUNDSCHECK or _SETTINGS.DEBUGINFO_DEFAULT)
+    if HAS_CACHE and is_plain and cache_folder(Path(function.__code__.co_filename)) is not None:
         kernel._cache = KernelCache(function)
     return kernel
 
@@ -148,9 +144,8 @@ def _make_inner_kernel(function: Any, **options: Any) -> Any:
     """
     if not HAS_CACHE:
         return _make_kernel(function, **options)
-    inner = InnerCompiler if _is_own(function) else ForeignInnerCompiler
-    compiler = {"no_cpython_wrapper": True, "pipeline_class": inner}
-    kernel = _numba_kernel(function, compiler, **options)
+    compiler = InnerCompiler if _is_own(function) else ForeignInnerCompiler
+    kernel = _numba_kernel(function, no_cpython_wrapper=True, pipeline_class=compiler, **options)
 
     def add_overload(compiled: Any) -> None:
         kernel.overloads[tuple(compiled.signature.args)] = compiled

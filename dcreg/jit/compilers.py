@@ -1,8 +1,8 @@
 """Compile kernels in less time than Numba's own compilers: to less code, optimised once.
 
-Numba optimises a function before it is linked into each caller, and again there. An inner
-kernel of this library, which only other kernels call, is therefore only prepared for inlining; its
-callers are optimised as a whole.
+Numba optimises a function before it is linked into each caller, and again there. An inner kernel of this
+library, which only other kernels call, is therefore only prepared for inlining; its callers are optimised
+as a whole.
 """
 
 from __future__ import annotations
@@ -58,19 +58,17 @@ class _References(NRTContext):
         if model.has_nrt_meminfo():
             found.append((kind, model.get_nrt_meminfo(builder, value)))
         for part, get in model.traverse(builder):
-            inner = self._context.data_model_manager[part]
-            if inner.contains_nrt_meminfo() or _is_open(inner):
+            if self._context.data_model_manager[part].contains_nrt_meminfo():
                 found.extend(self.get_meminfos(builder, part, get(value)))
         return found
 
 
-def _is_open(model: Any) -> bool:
-    """Whether a type contains one that is defined later, which may have references."""
-    return any(isinstance(part, types.DeferredType) for part in model.traverse_types())
-
-
 class _Context(CPUContext):
     """Reads and writes single elements of contiguous arrays in a few instructions."""
+
+    @property
+    def nrt(self) -> _References:
+        return _References(self, self.enable_nrt)
 
     def get_function(self, fn: Any, sig: Any, _firstcall: bool = True) -> Any:
         if self.enable_boundscheck:
@@ -83,9 +81,13 @@ class _Context(CPUContext):
         return super().get_function(fn, sig, _firstcall)
 
 
-class _InnerContext(_Context):
+class _WithoutEntry(CPUContext):
     def get_executable(self, *_: Any) -> Any:
         return object()  # a key: callers find the function by it, and nothing else calls it
+
+
+class _InnerContext(_WithoutEntry, _Context):
+    pass
 
 
 def _is_number(kind: Any) -> bool:
@@ -148,10 +150,8 @@ class KernelCompiler(Compiler):
         library = self._library_class(target.codegen(), "kernel")
         library.enable_object_caching()
         super().__init__(typing, target, library, *arguments)
-        context = copy.copy(self.state.targetctx)
-        context.__class__ = self._context_class
-        context.nrt = _References(context, context.enable_nrt)
-        self.state.targetctx = context
+        self.state.targetctx = copy.copy(self.state.targetctx)
+        self.state.targetctx.__class__ = self._context_class
 
 
 class InnerCompiler(KernelCompiler):
@@ -161,7 +161,8 @@ class InnerCompiler(KernelCompiler):
     _context_class: Any = _InnerContext
 
 
-class ForeignInnerCompiler(InnerCompiler):
-    """Compiles inner functions of other packages, optimised as much as by Numba's own compiler."""
+class ForeignInnerCompiler(KernelCompiler):
+    """Compiles inner functions of other packages, to the code of Numba's own compiler."""
 
     _library_class = _ForeignInnerLibrary
+    _context_class = _WithoutEntry

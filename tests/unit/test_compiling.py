@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numba.core import event
 from numba.core.caching import NullCache
+from numba.core.runtime import _nrt_python, rtsys
 
 import dcreg
 from dcreg import jit as jit_module
@@ -116,6 +117,23 @@ def test_a_read_only_library_still_works(home, copy, tmp_path_factory):
     assert run(code, copy, XDG_CACHE_HOME=str(cache), HOME=str(cache)) == "4.0"
     assert not compiled(copy)
     assert bool(compiled(cache)) == home
+
+
+def test_kernels_with_checked_indices_are_not_kept(copy):
+    """They would serve runs without checks."""
+    assert run(SUM, copy, NUMBA_BOUNDSCHECK="1") == "4.0"
+    assert not compiled(copy)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_indices_are_checked_on_request(copy, order):
+    kernel = copy / "dcreg/assignment/kernels/beyond.py"
+    kernel.write_text("from dcreg.jit import jit\n\n\n@jit\ndef at(a, i):\n    return a[i, i]\n")
+    code = (
+        "import numpy as np\nfrom dcreg.assignment.kernels.beyond import at\n"
+        f"try: at(np.ones((2, 2), order='{order}'), 2)\nexcept IndexError: print('checked')"
+    )
+    assert run(code, copy, NUMBA_BOUNDSCHECK="1") == "checked"
 
 
 def test_processes_that_compile_at_the_same_time_agree(copy):
@@ -278,8 +296,8 @@ def test_numba_is_as_before_after_a_compilation():
     assert all(getattr(owner, name) is usual for owner, name, usual in before)
 
 
-def test_numba_is_as_before_after_contexts_of_two_threads():
-    """The context that began first may end first."""
+def test_numba_is_as_before_after_contexts_that_overlap():
+    """As those of two threads: the one that began first ends first."""
     before = [(owner, name, getattr(owner, name)) for owner, name, _ in lean._changes()]
     first, second = lean.lean_numba(), lean.lean_numba()
     first.__enter__()
@@ -315,12 +333,30 @@ def test_a_compilation_after_the_end_of_a_context_changes_nothing():
     """As when another thread begins one at that moment."""
     heard = []
     with jit_module.when_compiling(lambda: heard.append(True)):
-        listener = numba_events()[-1]
+        listener = event._registered["numba:compile"][-1]
     listener.on_start(None)
     assert not heard
     assert not lean._OPEN
     assert gc.isenabled()
 
 
-def numba_events():
-    return event._registered["numba:compile"]
+@pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
+def test_a_search_frees_all_arrays_of_its_kernels(model):
+    """Else the references in tuples of arrays are not counted."""
+
+    def left():
+        gc.collect()
+        counts = rtsys.get_allocation_stats()
+        return counts.alloc - counts.free
+
+    points = np.random.default_rng(0).random((12, int(model[-2])))
+    settings = {"n_inliers": 10, "model": model, "node_limit": 100}
+    dcreg.register(points, points + 0.01, **settings)
+    _nrt_python.memsys_enable_stats()
+    try:
+        before = left()
+        dcreg.register(points, points + 0.01, **settings)
+        assert left() == before
+        assert rtsys.get_allocation_stats().alloc > 0
+    finally:
+        _nrt_python.memsys_disable_stats()
