@@ -156,7 +156,8 @@ class RigidBound(SpaceBound[Rigid3D]):
 
     name = "rigid"
     space_type = Rigid3D
-    max_round = 512
+    # Each round solves one exact assignment, in one thread: small rounds would spend most of the time on it.
+    round_pairs, max_round = 64_000_000, 512
 
     def __init__(
         self, space: Rigid3D, roots: Sequence[Box] | None = None, threads: int = 1
