@@ -77,10 +77,10 @@ findings: setup
 evidence: setup
 	@$(BIN)/python -m reports evidence --cores $(CORES) $(if $(HOURS),--hours $(HOURS)) $(if $(EXPERIMENTS),--experiments $(EXPERIMENTS))
 
-## archive: write all results to reports/archive/VERSION (default: the version of dcreg)
+## archive: write all results to reports/archive/VERSION (default: the version of dcreg; REPLACE=1: even if fewer runs)
 .PHONY: archive
 archive: setup
-	@$(BIN)/python -m reports archive $(if $(VERSION),--version $(VERSION))
+	@$(BIN)/python -m reports archive $(if $(VERSION),--version $(VERSION)) $(if $(REPLACE),--replace)
 
 ## snakemake-report: write Snakemake's own report on the finished experiment CONFIG=…: jobs, times, results
 .PHONY: snakemake-report
@@ -95,11 +95,13 @@ publish: setup
 ## report: build all pages from an archive without a run, ARCHIVE=version|folder|zip file|address (SHA256=… of a zip file)
 .PHONY: report
 report: setup
-	@$(BIN)/python -m reports archived $(ARCHIVE) $(if $(SHA256),--sha256 $(SHA256))
+	@test -n '$(ARCHIVE)' || { echo "the archive is missing: make report ARCHIVE=0.2.0 (or a folder, a zip file, an address)" >&2; exit 2; }
+	@$(BIN)/python -m reports archived '$(ARCHIVE)' $(if $(SHA256),--sha256 $(SHA256))
 
 ## replay: repeat a stored run, RUN=run_id, and compare the results (RESULTS=folder of the stored run; BOXES=1: draw its boxes)
 .PHONY: replay
 replay: setup
+	@test -n "$(RUN)" || { echo "the run is missing: make replay RUN=run_id (column run_id of tables/runs.csv)" >&2; exit 2; }
 	@$(BIN)/python -m $(if $(BOXES),reports boxes,workflows replay) $(RUN) $(if $(RESULTS),--results '$(RESULTS)')
 
 ## plan: print the runs of CONFIG=… and their estimated time without running them
@@ -165,7 +167,8 @@ faults: setup
 ## merge: join results or archives of several machines, FROM="A B" OUT=folder (MIXED=1: of different machines)
 .PHONY: merge
 merge: setup
-	@$(BIN)/python -m workflows merge $(FROM) --out $(OUT) $(if $(MIXED),--mixed-machines)
+	@test -n '$(FROM)' && test -n '$(OUT)' || { echo 'sources or folder are missing: make merge FROM="A B" OUT=both/results' >&2; exit 2; }
+	@$(BIN)/python -m workflows merge $(FROM) $(if $(MIXED),--mixed-machines) --out '$(OUT)'
 
 ## million: make all tables of a million synthetic runs, time and memory in results/million (REPORT=1: the page too)
 .PHONY: million

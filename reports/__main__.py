@@ -171,6 +171,10 @@ def archive(
         bool,
         typer.Option("--publish", help="Write a zip file to results/published instead."),
     ] = False,
+    replace: Annotated[
+        bool,
+        typer.Option(help="Replace results of an earlier archive by fewer ones."),
+    ] = False,
 ) -> None:
     """Write all results to reports/archive/VERSION, which is part of the repository.
 
@@ -183,7 +187,7 @@ def archive(
 
     name = version or __version__
     place = Path("results", "published") if publish else ARCHIVES
-    folder = write(results or [Path("results")], place / name, name)
+    folder = write(results or [Path("results")], place / name, name, replace=replace or publish)
     read.check(folder)
     crate.check(folder)
     size = sum(path.stat().st_size for path in folder.rglob("*"))
@@ -216,9 +220,12 @@ def archived(
     sha256: Annotated[str, typer.Option(help="SHA-256 of the zip file at a URL.")] = "",
 ) -> None:
     """Build all pages from an archive; nothing is run."""
+    from urllib.parse import urlsplit
+
     from reports.archive.pages import build
 
-    name = Path(archive).name.removesuffix(".zip")
+    place = urlsplit(archive).path if "://" in archive else str(Path(archive).absolute())
+    name = Path(place).name.removesuffix(".zip")
     say(f"pages     {build(archive, out or Path('results/archive', name), sha256)}")
 
 

@@ -90,6 +90,7 @@ def _origin(tables: Tables) -> dict[str, Any]:
         "commit": known.get("git", {}).get("commit", ""),
         "changed": bool(known.get("git", {}).get("dirty")),
         "created": known.get("created", "")[:10],
+        "versions": sorted({each for each in tables.runs["fingerprint"] if each}),
         "machine": {key: machine.get(key, "unknown") for key in ("cpu", "cores", "python")},
         "limits": {"time_s": None, "assignments": None} | next(iter(limits.values()), {}),
     }

@@ -1,8 +1,9 @@
 """Join results of several machines: ``python -m workflows merge A B … --out DIR``.
 
 A source is an archive, the results of an experiment (``results/NAME``), or a folder that contains either.
-The merged folder contains only the runs, one journal per method. ``python -m workflows run`` makes
-instances, tables and report from them, and repeats no run.
+The merged folder contains one journal of runs per method, and the list of blocks if the runs are
+collected evidence. ``python -m workflows run`` makes instances, tables and report from them, and repeats
+no run.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -
     Raises
     ------
     UserError
-        There is no such run, or the method is not available.
+        There is no such run, it was only planned, or the method is not available.
     """
     repetition = Repetition.of(run_id, experiment, results)
     repetition.method.warm_up(repetition.instance)
@@ -80,6 +80,11 @@ class Repetition:
                 f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
                 "tables/runs.csv, or give the folder of its results (--results, in make RESULTS=…) or "
                 "its experiment (--experiment)"
+            )
+        if stored and stored.row["outcome"] not in (*archives.REUSED, "failed"):
+            raise UserError(
+                f"run {run_id} was planned, but not run (outcome: {stored.row['outcome']}); take one "
+                "whose column outcome in tables/runs.csv is finished"
             )
         plan = _plan(experiment, stored)
         run = next((run for run in plan.runs() if run.run_id == run_id), None)

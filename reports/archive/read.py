@@ -111,7 +111,9 @@ def _restore_one(stored: Path, runs: pd.DataFrame, events: pd.DataFrame, tables:
 
 def _download(address: str, cache: Path, sha256: str) -> Path:
     if not sha256:
-        raise ReportError(f"{address}: give the SHA-256 of the file as well")
+        raise ReportError(
+            f"{address}: give the SHA-256 that was published with the file (--sha256, in make SHA256=...)"
+        )
     path = cache / f"{sha256[:16]}.zip"
     if path.is_file() and digest(path) == sha256:
         return path
@@ -134,7 +136,8 @@ def _unzipped(path: Path, cache: Path) -> Path:
         size = sum(entry.file_size for entry in members)
         if size > MOST_UNPACKED:
             raise ReportError(
-                f"{path}: {size / 1e6:.0f} MB unpacked, more than {MOST_UNPACKED / 1e6:g}"
+                f"{path}: {size / 1e6:.0f} MB unpacked, more than {MOST_UNPACKED / 1e6:g}; if you trust "
+                "the file, unpack it and give the folder"
             )
         for entry in members:
             is_link = (entry.external_attr >> 28) == 0xA

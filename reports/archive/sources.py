@@ -16,6 +16,7 @@ from data import registry as datasets
 from data.contract import DataError
 from reports.tables import Tables
 from workflows import CHECKOUT
+from workflows.blocks import NEEDS
 from workflows.config import search_next_to
 
 AGAIN = "-again"  # ends the name of a repeated experiment: results are stored by name
@@ -87,20 +88,41 @@ def _public_command(command: str) -> str:
     return shlex.join(words)
 
 
-def write_readme(experiments: dict[str, list[str]], version: str, commit: str, out: Path) -> None:
-    """Say how to repeat the experiments of an archive, and how to cite it."""
+def write_readme(
+    experiments: dict[str, list[str]],
+    provenances: dict[str, dict[str, Any]],
+    version: str,
+    out: Path,
+) -> None:
+    """Say where the experiments of an archive are from, how to repeat them, and how to cite it."""
     lines = [
         f"# Results, version {version}",
         "",
-        f"Made with commit {commit or 'unknown'} of the DC-Reg benchmark; `{CITATION}` says how to cite "
-        "it. `checksums.sha256` verifies all files.",
+        f"Experiments of the DC-Reg benchmark; `{CITATION}` says how to cite it. "
+        "`checksums.sha256` verifies all files.",
         "",
     ]
     for name, added in experiments.items():
-        lines += [f"- `{name}`: `make run CONFIG=<this folder>/experiments/{name}/config.yaml`"]
+        lines += [
+            f"- `{name}`, {_origin(provenances[name])}: "
+            f"`make run CONFIG=<this folder>/experiments/{name}/config.yaml`"
+        ]
+        if (out / "experiments" / name / NEEDS).is_file():
+            lines += [
+                f"  - The runs are blocks of trials (`{NEEDS}`), which `make evidence "
+                f"EXPERIMENTS={name}` continues. The config plans all trials."
+            ]
         lines += [f"  - {each}" for each in added]
     (out / README).write_text("\n".join(lines) + "\n", encoding="utf-8")
     shutil.copyfile(CHECKOUT / CITATION, out / CITATION)
+
+
+def _origin(provenance: dict[str, Any]) -> str:
+    """Return when and with which commit the tables of an experiment were made."""
+    git = provenance.get("git", {})
+    origin = f"tables made {provenance.get('created', 'at an unknown time')[:10]}"
+    origin += f" with commit {str(git.get('commit') or 'unknown')[:8]}"
+    return origin + " and uncommitted changes" * bool(git.get("dirty"))
 
 
 def _copies(names: Iterable[str], registry: Any, kind: str, out: Path) -> Iterable[str]:

@@ -29,13 +29,14 @@ from workflows.integrity import digest
 
 MOST_EVENTS = 64  # of a run's bound history
 MOST_BYTES = 25_000_000  # of an archive
+RAN = "finished", "limited", "failed"  # outcomes of runs that were started
 SHARE_BEFORE_CHECKSUMS = 0.9  # of these bytes: clouds fill what the tables leave
 LOCK = CHECKOUT / "requirements.lock"
 # Columns of a history that the runs have as well.
 _SHARED = ["method", "instance_id"]
 
 
-def write(results: Sequence[Path], out: Path, version: str) -> Path:
+def write(results: Sequence[Path], out: Path, version: str, *, replace: bool = False) -> Path:
     """Write the archive of all results in `results` to the folder `out`, replacing an earlier one.
 
     Experiments of the earlier one without complete tables in `results` are kept, as after a stopped
@@ -47,11 +48,14 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
         Folders that contain folders of results, each with ``tables/`` or tables of the study of bounds.
     out : Path
     version : str
+    replace : bool
+        Whether an experiment may have fewer results than in the earlier archive.
 
     Raises
     ------
     ReportError
-        There are no results, `version` is not a name, or the archive would exceed `MOST_BYTES`.
+        There are no results, `version` is not a name, the archive would exceed `MOST_BYTES`, or results
+        of the earlier one would be lost.
     """
     if not re.fullmatch(r"\w[\w.+-]*", version):  # it names a folder, which is replaced
         raise ReportError(f"version: {version!r}; use letters, digits, and . + - _ after the first")
@@ -59,7 +63,24 @@ def write(results: Sequence[Path], out: Path, version: str) -> Path:
         if (out / FACTS).is_file():
             check(out)
             restore(out, Path(earlier))
+            if not replace:
+                _refuse_fewer(results, Path(earlier), out)
         return _write([*results, Path(earlier)], out, version)
+
+
+def _refuse_fewer(results: Sequence[Path], earlier: Path, out: Path) -> None:
+    """Raise an error if an experiment has fewer results than in an archive."""
+    new, old = _first_results(results), _first_results([earlier])
+    for name in sorted(new.keys() & old.keys()):
+        found, stored = _with_tables(new[name]), _with_tables(old[name])
+        if found is None or stored is None:
+            continue
+        few, many = (_runs_in(place, *RAN) for place in (found, stored))
+        if few < many:
+            raise ReportError(
+                f"{found}: {few} runs of {name} ended, but {out} contains {many}, which would be lost; "
+                "choose another name (--version, in make VERSION=mine), or pass --replace (REPLACE=1)"
+            )
 
 
 def _write(roots: Sequence[Path], out: Path, version: str) -> Path:
@@ -89,7 +110,8 @@ def _write(roots: Sequence[Path], out: Path, version: str) -> Path:
     room = int(SHARE_BEFORE_CHECKSUMS * MOST_BYTES) - _size(part)
     for name, counts in clouds.write(tables, part, room).items():
         facts["experiments"][name]["clouds"] = counts
-    write_readme(added, version, facts["git"]["commit"], part)
+    provenances = {each.experiment: each.provenance for each in shown}
+    write_readme(added, provenances, version, part)
     (part / FACTS).write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
     describe(part, facts)
     _write_checksums(part)
@@ -124,9 +146,14 @@ def _with_tables(place: Path) -> Path | None:
     return next((path for path in (place / EVIDENCE, place, *parts) if _runs_in(path)), None)
 
 
-def _runs_in(place: Path) -> int:
+def _runs_in(place: Path, *outcomes: str) -> int:
+    """Return how many runs are planned, or have one of the outcomes; 0 without tables."""
     path = place / "tables" / "accounting.csv"
-    return int(pd.read_csv(path)["planned"].sum()) if path.is_file() else 0
+    return (
+        int(pd.read_csv(path)[list(outcomes or ["planned"])].sum(axis=None))
+        if path.is_file()
+        else 0
+    )
 
 
 def thinned(traces: pd.DataFrame) -> pd.DataFrame:

@@ -146,7 +146,8 @@ class Source:
         filled = [(label, runs) for label, runs in chosen if len(runs)]
         title = self.roles[role].title
         if labels and len(labels) < self.roles[role].n_choices:
-            finding.miss(f"{title} with the other {' and '.join(self.roles[role].choices)}")
+            choices = " and ".join(self.roles[role].choices)
+            finding.miss(f"{title} with the other value of the option {choices}")
         if not filled:
             finding.miss(f"{title} in these tests and levels" if labels else title)
         names = self.experiment.first["display_name"]

@@ -8,7 +8,8 @@ runs can be added until a claim is decided:
   side is the smallest level at which the interval lies entirely on that side, so p-values and intervals
   always agree. It is the inverse of an e-value:
 
-  - shares: beta-binomial mixture (Robbins, *Ann. Math. Statist.* 41, 1970), exact;
+  - shares: beta-binomial mixture (Robbins, *Ann. Math. Statist.* 41, 1970), exact for independent
+    instances;
   - medians: the same mixture for the share of instances on either side;
   - all other estimates: the t-statistic with a normal prior on the effect (Wang and Ramdas, *Sequential
     Anal.* 44, 2025). It is exact for means of normal values and holds asymptotically for others, as in a

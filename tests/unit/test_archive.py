@@ -74,6 +74,22 @@ def test_a_new_archive_keeps_experiments_without_new_results(results, tmp_path):
     assert (out / "bounds" / "boxes.parquet").is_file()
 
 
+def test_fewer_results_replace_an_archive_only_on_request(results, tmp_path):
+    fewer = tmp_path / "fewer"
+    write_tables(fewer / "one" / "tables", "one")
+    path = fewer / "one" / "tables" / "accounting.csv"
+    accounting = pd.read_csv(path)
+    accounting[["finished", "not_needed"]] = accounting[["not_needed", "finished"]].to_numpy()
+    accounting.to_csv(path, index=False)
+    out = writing.write([results], tmp_path / "1.0", "1.0")
+    with pytest.raises(ReportError, match="would be lost; choose another name"):
+        writing.write([fewer], out, "1.0")
+    read.check(out)
+    with pytest.raises(ReportError, match="run the experiment again"):  # the next check of the tables
+        writing.write([fewer], out, "1.0", replace=True)
+    writing.write([results], out, "1.0")
+
+
 def test_archived_clouds_are_thinned_with_the_pairs_that_remain(results, tmp_path, monkeypatch):
     tables = Tables.load(results / "one" / "tables")
     original = pd.read_parquet(tables.directory / CLOUDS).set_index("instance_id")

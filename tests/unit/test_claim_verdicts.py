@@ -333,7 +333,7 @@ def test_methods_that_differ_by_a_choice_of_ours_must_agree(fits, poses, verdict
 def test_one_of_several_choices_decides_nothing():
     found = judged(evidence(runs_of("paper"), runs_of("rival", rmse=0.01)), RATIO, choices=True)
     assert found.verdict == OPEN
-    assert "RPM-HTB with the other incumbents" in found.reason
+    assert "RPM-HTB with the other value of the option incumbents" in found.reason
 
 
 def test_a_figure_that_cannot_refute_leaves_the_claim_open():

@@ -231,7 +231,7 @@ def test_an_archive_holds_config_and_code_of_ones_own_methods(study: Path) -> No
         "config.yaml", "baselines/my_method/adapter.py", "baselines/my_method/card.yaml",
         "data/my_scans/card.yaml",
     }  # fmt: skip
-    write_readme({"mine": added}, "1", "abc", out)
+    write_readme({"mine": added}, {"mine": tables.provenance}, "1", out)
     assert "experiments/mine/config.yaml`\n  - my_method: in `baselines/my_method`" in (
         out / "REPEAT.md"
     ).read_text(encoding="utf-8")
@@ -267,7 +267,7 @@ def test_an_archive_says_what_code_it_lacks_and_how_to_add_it(tmp_path: Path) ->
     tables.provenance["methods"] = {"lost": {"baseline": "lost"}, "icp": {"baseline": "icp"}}
     runs = tables.runs.assign(dataset="embedded")
     added = write_sources(Tables(**{**vars(tables), "runs": runs}), tmp_path)
-    write_readme({"mine": added}, "1", "abc", tmp_path)
+    write_readme({"mine": added}, {"mine": tables.provenance}, "1", tmp_path)
     (line,) = missing_code(tmp_path)
     assert line == (
         "lost: its code is not included: unknown method 'lost'. Set DCREG_BASELINES_PATH to the folder "

@@ -99,6 +99,12 @@ def test_a_difference_has_its_own_exit_code(run):
     assert json.loads(done.output)["stored"] == "different: n_assignments"
 
 
+def test_a_run_that_was_only_planned_is_refused_before_it_is_solved(run):
+    folder, run_id, row = run
+    with pytest.raises(UserError, match=f"run {run_id} was planned, but not run .*not_needed"):
+        stored(folder, {**row, "outcome": "not_needed", "status": "not_run", "fingerprint": ""})
+
+
 def test_an_unknown_run_is_named(run):
     folder, _, _ = run
     with pytest.raises(UserError, match="no run 'x' in the archives or in"):

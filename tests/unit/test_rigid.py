@@ -142,6 +142,14 @@ def test_limits_leave_valid_bounds(limits, status, rng):
     assert result.lower_bound < result.upper_bound
 
 
+def test_few_exact_assignments_are_solved_for_large_clouds(rng):
+    """Each takes as long as several bounds, and one thread solves them while the others wait."""
+    source, target, _ = planted(rng, 320, 0.05, outliers=80)
+    result = search_rigid(source, target, 320, gap_tol=1e-3, nodes=6000)
+    assert result.status is Status.NODE_LIMIT
+    assert result.n_assignments < result.n_nodes / 40
+
+
 def test_duplicates_that_nearest_neighbours_cannot_tell(rng):
     """Sources in pairs over one target each: many to one costs nothing, one to one does."""
     source = np.repeat(rng.standard_normal((3, 3)), 2, axis=0)

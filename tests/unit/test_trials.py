@@ -1,0 +1,39 @@
+"""Verdicts count the instances of a trial as independent, although its levels share a pose.
+
+Their intervals are over instances, whose values also differ by level. Here the standard errors are
+compared with those of the means of trials.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from workflows import archives
+from workflows.archives import REUSED, RUNS
+
+EXPERIMENTS = "paper2d-40", "paper3d-40"
+
+
+def ratios(runs: pd.DataFrame, quantity: str) -> np.ndarray:
+    """Return the standard error from trials over that from instances, by method and test."""
+    found = []
+    for _, part in runs.dropna(subset=quantity).groupby(["experiment", "method", "test"]):
+        values = part[quantity].astype(float)
+        sums = (values - values.mean()).groupby([part["shape"], part["trial"]]).sum()
+        n, spread = len(sums), values.std()
+        if n >= 4 and spread > 0:
+            by_trial = np.sqrt((sums**2).sum() * n / (n - 1)) / len(values)
+            found.append(by_trial / (spread / np.sqrt(len(values))))
+    return np.array(found)
+
+
+def test_the_dependence_within_trials_does_not_narrow_intervals():
+    folder = archives.folders()[-1]
+    runs = pd.read_parquet(folder / RUNS)
+    runs = runs[runs["outcome"].isin(REUSED) & runs["experiment"].isin(EXPERIMENTS)]
+    success, rmse = ratios(runs, "success"), ratios(runs, "rmse")
+    assert min(len(success), len(rmse)) >= 10
+    assert success.max() < 1.05
+    assert np.median(rmse) < 1.0
+    assert rmse.max() < 1.5
