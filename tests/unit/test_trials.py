@@ -28,12 +28,12 @@ def ratios(runs: pd.DataFrame, quantity: str) -> np.ndarray:
     return np.array(found)
 
 
-def test_the_dependence_within_trials_does_not_narrow_intervals():
+def test_errors_from_trials_are_usually_smaller_than_from_instances():
     folder = archives.folders()[-1]
     runs = pd.read_parquet(folder / RUNS)
     runs = runs[runs["outcome"].isin(REUSED) & runs["experiment"].isin(EXPERIMENTS)]
-    success, rmse = ratios(runs, "success"), ratios(runs, "rmse")
-    assert min(len(success), len(rmse)) >= 10
-    assert success.max() < 1.05
-    assert np.median(rmse) < 1.0
-    assert rmse.max() < 1.5
+    for quantity in ("success", "rmse"):
+        found = ratios(runs, quantity)
+        assert len(found) >= 10
+        assert np.median(found) < 1.0
+        assert found.max() < 1.5  # of as few as four trials
