@@ -85,7 +85,9 @@ def test_fewer_results_replace_an_archive_only_on_request(results, tmp_path):
     with pytest.raises(ReportError, match="would be lost; choose another name"):
         writing.write([fewer], out, "1.0")
     read.check(out)
-    with pytest.raises(ReportError, match="run the experiment again"):  # the next check of the tables
+    with pytest.raises(
+        ReportError, match="run the experiment again"
+    ):  # the next check of the tables
         writing.write([fewer], out, "1.0", replace=True)
     writing.write([results], out, "1.0")
 
