@@ -150,7 +150,7 @@ def _runs_in(place: Path, *outcomes: str) -> int:
     """Return how many runs are planned, or have one of the outcomes; 0 without tables."""
     path = place / "tables" / "accounting.csv"
     return (
-        int(pd.read_csv(path)[list(outcomes or ["planned"])].sum(axis=None))
+        int(pd.read_csv(path)[list(outcomes or ["planned"])].to_numpy().sum())
         if path.is_file()
         else 0
     )
