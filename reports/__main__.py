@@ -173,7 +173,7 @@ def archive(
     ] = False,
     replace: Annotated[
         bool,
-        typer.Option(help="Replace results of an earlier archive by fewer ones."),
+        typer.Option("--replace", help="Replace results of an earlier archive by fewer ones."),
     ] = False,
 ) -> None:
     """Write all results to reports/archive/VERSION, which is part of the repository.
@@ -220,13 +220,10 @@ def archived(
     sha256: Annotated[str, typer.Option(help="SHA-256 of the zip file at a URL.")] = "",
 ) -> None:
     """Build all pages from an archive; nothing is run."""
-    from urllib.parse import urlsplit
-
     from reports.archive.pages import build
+    from reports.archive.read import name_of
 
-    place = urlsplit(archive).path if "://" in archive else str(Path(archive).absolute())
-    name = Path(place).name.removesuffix(".zip")
-    say(f"pages     {build(archive, out or Path('results/archive', name), sha256)}")
+    say(f"pages     {build(archive, out or Path('results/archive', name_of(archive)), sha256)}")
 
 
 @app.command()

@@ -15,6 +15,7 @@ from baselines.contract import Baseline, Instance, Solution
 from workflows import CHECKOUT, UserError, archives, provenance, records
 from workflows.config import Experiment, load, origin, search_next_to
 from workflows.instances import content_digest
+from workflows.outcomes import STARTED
 from workflows.stages.generate import instance_of
 from workflows.stages.plan import Plan, PlannedRun, expand
 from workflows.stages.worker import COUNTERS
@@ -81,7 +82,7 @@ class Repetition:
                 "tables/runs.csv, or give the folder of its results (--results, in make RESULTS=…) or "
                 "its experiment (--experiment)"
             )
-        if stored and stored.row["outcome"] not in (*archives.REUSED, "failed"):
+        if stored and stored.row["outcome"] not in STARTED:
             raise UserError(
                 f"run {run_id} was planned, but not run (outcome: {stored.row['outcome']}); take one "
                 "whose column outcome in tables/runs.csv is finished"

@@ -7,6 +7,7 @@ import re
 import shutil
 import zipfile
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pandas as pd
 
@@ -29,6 +30,7 @@ from workflows.integrity import digest, sealed_file
 from workflows.stages.aggregate import accounting
 from workflows.stages.clouds import CLOUDS
 
+ADDRESSES = "http://", "https://"
 MOST_DOWNLOADED, MOST_UNPACKED = 100_000_000, 200_000_000  # bytes of a zip file, and of its content
 EXPERIMENT = r"[A-Za-z0-9][A-Za-z0-9._+-]*"
 
@@ -50,7 +52,7 @@ def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
     ReportError
         There is no such archive, a file is damaged, or a zip file is unsafe.
     """
-    if archive.startswith(("http://", "https://")):
+    if archive.startswith(ADDRESSES):
         archive = str(_download(archive, cache, sha256))
     path = next((p for p in (ARCHIVES / archive, Path(archive)) if p.exists()), None)
     if path is None:
@@ -62,6 +64,12 @@ def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
         path = _unzipped(path, cache)
     check(path)
     return path
+
+
+def name_of(archive: str) -> str:
+    """Return the name of an archive: that of its folder or file."""
+    place = urlsplit(archive).path if archive.startswith(ADDRESSES) else Path(archive).absolute()
+    return Path(place).name.removesuffix(".zip")
 
 
 def versions() -> list[str]:

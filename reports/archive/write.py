@@ -26,10 +26,10 @@ from workflows import CHECKOUT, provenance, records
 from workflows.archives import CHECKSUMS, FACTS, RUNS, TRACES, check
 from workflows.blocks import EVIDENCE, NEEDS
 from workflows.integrity import digest
+from workflows.outcomes import STARTED
 
 MOST_EVENTS = 64  # of a run's bound history
 MOST_BYTES = 25_000_000  # of an archive
-RAN = "finished", "limited", "failed"  # outcomes of runs that were started
 SHARE_BEFORE_CHECKSUMS = 0.9  # of these bytes: clouds fill what the tables leave
 LOCK = CHECKOUT / "requirements.lock"
 # Columns of a history that the runs have as well.
@@ -75,7 +75,7 @@ def _refuse_fewer(results: Sequence[Path], earlier: Path, out: Path) -> None:
         found, stored = _with_tables(new[name]), _with_tables(old[name])
         if found is None or stored is None:
             continue
-        few, many = (_runs_in(place, *RAN) for place in (found, stored))
+        few, many = (_runs_in(place, STARTED) for place in (found, stored))
         if few < many:
             raise ReportError(
                 f"{found}: {few} runs of {name} ended, but {out} contains {many}, which would be lost; "
@@ -146,14 +146,10 @@ def _with_tables(place: Path) -> Path | None:
     return next((path for path in (place / EVIDENCE, place, *parts) if _runs_in(path)), None)
 
 
-def _runs_in(place: Path, *outcomes: str) -> int:
-    """Return how many runs are planned, or have one of the outcomes; 0 without tables."""
+def _runs_in(place: Path, columns: Sequence[str] = ("planned",)) -> int:
+    """Return how many runs columns of the accounting count; 0 without tables."""
     path = place / "tables" / "accounting.csv"
-    return (
-        int(pd.read_csv(path)[list(outcomes or ["planned"])].to_numpy().sum())
-        if path.is_file()
-        else 0
-    )
+    return int(pd.read_csv(path)[list(columns)].to_numpy().sum()) if path.is_file() else 0
 
 
 def thinned(traces: pd.DataFrame) -> pd.DataFrame:

@@ -85,9 +85,8 @@ def test_fewer_results_replace_an_archive_only_on_request(results, tmp_path):
     with pytest.raises(ReportError, match="would be lost; choose another name"):
         writing.write([fewer], out, "1.0")
     read.check(out)
-    with pytest.raises(
-        ReportError, match="run the experiment again"
-    ):  # the next check of the tables
+    # on request only the next check, of the tables, refuses them
+    with pytest.raises(ReportError, match="run the experiment again"):
         writing.write([fewer], out, "1.0", replace=True)
     writing.write([results], out, "1.0")
 
@@ -305,6 +304,14 @@ def test_an_archive_without_its_tables_is_refused(archive, tmp_path):
 def test_an_address_needs_a_checksum(tmp_path):
     with pytest.raises(ReportError, match="SHA-256"):
         read.folder_of("https://example.org/results.zip", tmp_path)
+
+
+@pytest.mark.parametrize(
+    "archive",
+    ["1.0", "some/1.0", "some/1.0/", "1.0.zip", "https://example.org/1.0.zip?download=1&x=2"],
+)
+def test_the_name_of_an_archive_is_that_of_its_folder_or_file(archive):
+    assert read.name_of(archive) == "1.0"
 
 
 def test_an_unknown_version_is_refused_with_those_that_exist(tmp_path):

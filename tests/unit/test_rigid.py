@@ -144,8 +144,8 @@ def test_limits_leave_valid_bounds(limits, status, rng):
 
 def test_few_exact_assignments_are_solved_for_large_clouds(rng):
     """Each takes as long as several bounds, and one thread solves them while the others wait."""
-    source, target, _ = planted(rng, 320, 0.05, outliers=80)
-    result = search_rigid(source, target, 320, gap_tol=1e-3, nodes=6000)
+    source, target, _ = planted(rng, 450, 0.05, outliers=150)
+    result = search_rigid(source, target, 450, gap_tol=1e-3, nodes=6000)
     assert result.status is Status.NODE_LIMIT
     assert result.n_assignments < result.n_nodes / 40
 

@@ -156,7 +156,7 @@ class RigidBound(SpaceBound[Rigid3D]):
 
     name = "rigid"
     space_type = Rigid3D
-    # Each round solves an exact assignment, in one thread: small rounds would spend most time on it.
+    # Each round solves an exact assignment in one thread, which takes as long as many bounds.
     round_pairs, max_round = 64_000_000, 512
 
     def __init__(
