@@ -80,6 +80,7 @@ def run(
     select = [f"{axis}={values}" for axis, values in axes.items() if values]
     if cores != "all" and not (cores.isdecimal() and int(cores)):
         raise UserError(f"--cores {cores}: give a positive number, or all")
+    from workflows.blocks import chosen_trials
     from workflows.live import View
     from workflows.running import INTERRUPTED, cores_of_job, find_profile, run_snakemake
     from workflows.stages.plan import size_notes
@@ -100,6 +101,8 @@ def run(
     name = plan.experiment.name
     folder = directory / "results" / name
     jobs = 1 if timing else os.cpu_count() or 1 if cores == "all" else int(cores)
+    if plan.needs is None and not select and (note := chosen_trials(folder)):
+        print(f"trials    {note}", flush=True)
     if dry_run:
         from workflows.summary import print_plan
 

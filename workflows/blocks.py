@@ -84,6 +84,16 @@ class Needs:
         return Needs(trials)
 
 
+def chosen_trials(folder: Path) -> str:
+    """Return a warning for a run of all trials of an experiment that has only needed ones; else ""."""
+    if not (folder / EVIDENCE / NEEDS).is_file():
+        return ""
+    return (
+        f"{folder / EVIDENCE} has only the trials that claims need; this command runs all of them. "
+        f"To run only needed ones: python -m reports evidence --experiments {folder.name}"
+    )
+
+
 def _by_level(numbers: Numbers) -> Mapping[str, int]:
     return {REST: numbers} if isinstance(numbers, int) else numbers
 

@@ -31,7 +31,8 @@ from workflows.compose import QUICK, ConfigError
 from workflows.config import Experiment, Selection, load, origin
 from workflows.journal import journalled
 from workflows.live import View
-from workflows.outcomes import NOT_NEEDED
+from workflows.outcomes import NOT_NEEDED, main_machine
+from workflows.provenance import machine_card
 from workflows.running import INTERRUPTED, run_snakemake
 from workflows.stages.plan import InstanceSpec, Plan, expand, method_identity, run_identity
 
@@ -212,6 +213,8 @@ def collect(
     campaigns = {name: Campaign(name, directory) for name in names}
     for name, campaign in campaigns.items():
         _check(name, campaign.experiment)
+        campaign.adopt()
+        _note_machine(campaign, console)
     end = time.monotonic() + 3600.0 * hours
     run = functools.partial(_run, end=end, cores=cores, out=out, console=console)
     may_go_on = _finish_blocks(campaigns.values(), run)
@@ -252,6 +255,14 @@ def _check(name: str, experiment: Experiment) -> None:
             )
 
 
+def _note_machine(campaign: Campaign, console: Console) -> None:
+    """Say if times of runs on this machine will not be compared."""
+    tables = campaign.tables()
+    if tables and main_machine(tables.runs) not in ("", machine_card()["machine_id"]):
+        text = "most runs are from another machine, so claims ignore times measured on this one"
+        console.print(f"times     {campaign.name}: {text}", soft_wrap=True)
+
+
 def _next(ahead: Sequence[tuple[str, Option]], left_s: float) -> tuple[str, Option] | None:
     """Return the first option that more blocks help; None once no time is left.
 
@@ -264,7 +275,6 @@ def _next(ahead: Sequence[tuple[str, Option]], left_s: float) -> tuple[str, Opti
 def _finish_blocks(campaigns: Iterable[Campaign], run: Callable[..., bool]) -> bool:
     """Finish pilots and blocks of earlier calls; return whether all of them ended in time."""
     for campaign in campaigns:
-        campaign.adopt()
         if not _run_pilots(campaign, "continue", run):
             return False
         if campaign.is_behind() and not run(

@@ -483,6 +483,16 @@ def test_nothing_is_begun_once_the_time_is_over(tmp_path, monkeypatch):
     assert run.collect(0.0, [NAME], tmp_path, 1, tmp_path / "out") == []
 
 
+@pytest.mark.parametrize(("machine", "is_noted"), [("", False), ("here", False), ("there", True)])
+def test_it_is_said_if_times_of_this_machine_will_not_count(machine, is_noted, monkeypatch):
+    runs = pd.DataFrame({"outcome": ["finished"], "machine_id": [machine]})
+    monkeypatch.setattr(Campaign, "tables", lambda self: SimpleNamespace(runs=runs))
+    monkeypatch.setattr(run, "machine_card", lambda: {"machine_id": "here"})
+    out = io.StringIO()
+    run._note_machine(Campaign(NAME, Path()), Console(file=out))
+    assert ("another machine" in out.getvalue()) == is_noted
+
+
 def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monkeypatch):
     monkeypatch.setenv("DCREG_ARCHIVES", "")
     begun = []

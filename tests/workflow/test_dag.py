@@ -327,6 +327,16 @@ def test_a_plan_is_printed_as_a_table_and_makes_nothing(checkout, tmp_path):
     assert sorted(checkout.root.glob("results/**/*")) == files
 
 
+def test_a_run_of_all_trials_is_announced_where_only_needed_ones_ran(tmp_path):
+    config = tmp_path / "tiny.yaml"
+    config.write_text(CONFIG)
+    run = ("run", str(config), "--dry-run", "--directory", str(tmp_path))
+    assert "only the trials" not in call(*run).output
+    Needs({"noise": {"icp": 1}}).write(tmp_path / "results/tiny/evidence/needs.json")
+    assert "reports evidence --experiments tiny" in call(*run).output
+    assert "only the trials" not in call(*run, "--tests", "noise").output
+
+
 def test_an_interrupted_job_keeps_what_it_had(checkout):
     """As after a kill: no final files, and a journal whose last line is cut off."""
     results = checkout.root / "results/tiny"
