@@ -72,7 +72,7 @@ findings: setup
 	@$(BIN)/python -m reports archive
 	@$(BIN)/python -m reports findings
 
-## evidence: spend HOURS=2 on the runs that decide most claims; the same command continues (EXPERIMENTS=paper2d-40,paper3d-40)
+## evidence: spend HOURS=2 on the runs that decide claims soonest; the same command continues (EXPERIMENTS=paper2d-40,paper3d-40)
 .PHONY: evidence
 evidence: setup
 	@$(BIN)/python -m reports evidence --cores $(CORES) $(if $(HOURS),--hours $(HOURS)) $(if $(EXPERIMENTS),--experiments $(EXPERIMENTS))

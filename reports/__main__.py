@@ -154,7 +154,7 @@ def evidence(
     cores: Annotated[int, typer.Option(help="Number of cores.", min=1)] = 2,
     directory: Annotated[Path, typer.Option(help="Folder that contains results/.")] = CHECKOUT,
 ) -> None:
-    """Spend the given hours on the runs that decide most claims; the same command continues."""
+    """Spend the given hours on the runs that decide claims soonest; the same command continues."""
     from reports.campaign.run import collect
 
     collect(hours, experiments.split(","), directory, cores, directory / "results" / "evidence")

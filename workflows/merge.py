@@ -300,9 +300,8 @@ def _check_instances(sources: Sequence[dict[Any, dict[str, _Seen]]]) -> None:
                     raise MergeError(
                         f"{first.place} and {second.place}: instance {what[0]} has instance_digest "
                         f"{first.digest!r} (run {first.run_id}) and {second.digest!r} (run "
-                        f"{second.run_id}): the sources differ in its data, in code, or in the rule of "
-                        "the digest; leave one source out, or run its part again with the data and "
-                        "code of the other"
+                        f"{second.run_id}): the data, the code or the rule of the digest differ; leave "
+                        "one source out, or repeat its runs with the data and code of the other"
                     )
 
 

@@ -79,13 +79,13 @@ class Repetition:
         if stored is None and not experiment:
             raise UserError(
                 f"no run {run_id!r} in the archives or in {results}; take one from column run_id of "
-                "tables/runs.csv, or give the folder of its results (--results, in make RESULTS=…) or "
-                "its experiment (--experiment)"
+                "tables/runs.csv, or give its results (--results; make: RESULTS=…) or its experiment "
+                "(--experiment)"
             )
         if stored and stored.row["outcome"] not in STARTED:
             raise UserError(
-                f"run {run_id} was planned, but not run (outcome: {stored.row['outcome']}); take one "
-                "whose column outcome in tables/runs.csv is finished"
+                f"run {run_id} was not started (outcome: {stored.row['outcome']}); choose one whose "
+                "column outcome in tables/runs.csv is finished or limited"
             )
         plan = _plan(experiment, stored)
         run = next((run for run in plan.runs() if run.run_id == run_id), None)

@@ -44,7 +44,7 @@ def sentences(facts: Mapping[str, Any]) -> Iterator[str]:
     for name, one in facts["experiments"].items():
         known = one.get("clouds")
         if known is None:
-            yield f"The archive has no clouds of {name}, except in its overlays."
+            yield f"Clouds of experiment {name} are only in its overlays."
         elif known["stored"] < known["of"]:
             yield (
                 f"The archive has the clouds of {known['stored']} of {known['of']} instances of {name}, "

@@ -24,10 +24,10 @@ FORMATS = {
 }
 MEANINGS = {
     "archive.json": "Version, schema, lock file and experiments of this archive",
-    "runs.parquet": "One row per planned run; workflows/records.py documents the columns",
+    "runs.parquet": "One row per planned run, started or not; workflows/records.py documents the columns",
     "traces.parquet": "Bound histories of the runs, thinned",
     "provenance.json": "Config, methods, options, machine and versions of an experiment",
-    "needs.json": "Blocks of paired instances that each method needed",
+    "needs.json": "Numbers of trials that were run, per test and method",
     "overlays.json.gz": "Points and poses of the best, median and worst runs",
     "clouds.parquet": "Clouds of the instances of an experiment, rounded and thinned",
     "config.yaml": "Config that repeats an experiment",
@@ -41,7 +41,7 @@ def describe(folder: Path, facts: Mapping[str, Any]) -> None:
     crate = ROCrate()
     crate.name = f"Results of the DC-Reg benchmark, version {facts['version']}"
     crate.description = (
-        f"All {sum(each['runs'] for each in facts['experiments'].values())} planned runs of "
+        f"{sum(each['started'] for each in facts['experiments'].values())} runs of "
         f"{len(facts['experiments'])} experiments on point cloud registration, with bound histories"
     )
     crate.license = LICENCE

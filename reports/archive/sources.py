@@ -109,8 +109,8 @@ def write_readme(
         ]
         if (out / "experiments" / name / NEEDS).is_file():
             lines += [
-                f"  - The runs are blocks of trials (`{NEEDS}`), which `make evidence "
-                f"EXPERIMENTS={name}` continues. The config plans all trials."
+                f"  - Only the trials in `{NEEDS}` were run; the command above runs all. "
+                f"`make evidence EXPERIMENTS={name}` adds more."
             ]
         lines += [f"  - {each}" for each in added]
     (out / README).write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -209,6 +209,7 @@ def _facts(tables: Sequence[Tables], version: str) -> dict[str, Any]:
             each.experiment: {
                 "title": each.provenance.get("config", {}).get("title", ""),
                 "runs": len(each.runs),
+                "started": int(each.runs["outcome"].isin(STARTED).sum()),
                 "commands": each.provenance.get("commands", []),
             }
             for each in tables

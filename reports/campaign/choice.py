@@ -31,7 +31,7 @@ from workflows.stages.plan import Plan, PlannedRun, expand
 # A step joins blocks as long as their expected time is at most this. Planning, judging and the tables
 # take about half a minute per step.
 STEP_S = 300.0
-NO_METHODS = "each comparison lacks a method that the experiment has and that is installed"
+NO_METHODS = "every comparison needs a method that is not installed or not in the experiment"
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ class Forecast:
         disk = "" if self.megabytes is None else f", {self.megabytes:.1f} MB"
         return (
             f"{self.runs} runs, about {self.seconds / 60:.0f} min of CPU{disk} "
-            f"({self.unseen} runs in unmeasured cells)"
+            f"({self.unseen} runs without a measured time)"
         )
 
 

@@ -275,10 +275,10 @@ def _next(ahead: Sequence[tuple[str, Option]], left_s: float) -> tuple[str, Opti
 def _finish_blocks(campaigns: Iterable[Campaign], run: Callable[..., bool]) -> bool:
     """Finish pilots and blocks of earlier calls; return whether all of them ended in time."""
     for campaign in campaigns:
-        if not _run_pilots(campaign, "continue", run):
+        if not _run_pilots(campaign, "resumed", run):
             return False
         if campaign.is_behind() and not run(
-            campaign, "continue", campaign.forecast(campaign.plan())
+            campaign, "resumed", campaign.forecast(campaign.plan())
         ):
             return False
     return True

@@ -294,7 +294,7 @@ def _tested(
     outside = [*missing, *filter(None, (claim.untested, book.untested.get(claim.experiment, "")))]
     without = "; ".join(outside)
     if not every:
-        return "Nothing was tested." + (f" Not covered in any case: {without}." if without else "")
+        return "Nothing was tested." + (f" Never covered: {without}." if without else "")
     subjects = _listed(row.subject for row in every)
     rivals = _listed(row.rival for row in every if row.rival)
     text = subjects + (f" against {rivals}" if rivals else "")

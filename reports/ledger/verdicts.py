@@ -166,7 +166,7 @@ def agreed(finding: Finding, decided: Sequence[Decided]) -> list[Decided]:
             verdicts = {found[at].verdict for at in members}
             if len(verdicts) == 1 and len(members) == role.n_choices:
                 continue
-            why = f"depends on a choice of ours: {' and '.join(role.choices)} of {role.title}"
+            why = f"not all variants of {role.title} agree ({' and '.join(role.choices)})"
             for at in members:
                 if found[at].verdict != OPEN:
                     found[at] = replace(found[at], verdict=OPEN, why=why)

@@ -130,7 +130,7 @@ def test_the_committed_archive_has_no_clouds_and_says_so(tmp_path):
     folder = read.folder_of("0.2.0", tmp_path)  # whose checksums hold
     crate.check(folder)
     said = list(archived_clouds.sentences(read.facts(folder)))
-    assert said[0] == "The archive has no clouds of findings, except in its overlays."
+    assert said[0] == "Clouds of experiment findings are only in its overlays."
 
 
 def test_histories_keep_their_ends_and_at_most_the_stated_events():

@@ -506,7 +506,7 @@ def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monke
     names = [NAME, "paper3d-40"]
     monkeypatch.setattr(run, "_ahead", lambda *_: [])
     run.collect(1.0, names, tmp_path, 1, tmp_path / "out")
-    assert begun == [(NAME, "continue")]
+    assert begun == [(NAME, "resumed")]
 
 
 def test_a_verdict_that_was_taken_back_is_named():

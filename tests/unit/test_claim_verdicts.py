@@ -324,7 +324,7 @@ def test_methods_that_differ_by_a_choice_of_ours_must_agree(fits, poses, verdict
     found = judged(evidence(*tables), RATIO, choices=True)
     assert found.verdict == verdict
     assert {row.rival for row in found.rows} == {"rival", "pose"}
-    needs = "depends on a choice of ours: incumbents of RPM-HTB"
+    needs = "not all variants of RPM-HTB agree (incumbents)"
     assert all((needs in row.instances) == (verdict == OPEN) for row in found.rows)
     of_rivals = {**VALUE, "methods": ["rpm_htb"], "claimed": {"above": 0.05}}
     assert judged(evidence(*tables), of_rivals, choices=True).verdict == verdict

@@ -125,7 +125,7 @@ def test_the_next_call_finishes_an_interrupted_pilot(costly, tmp_path, monkeypat
     planned = [each.run_id for each in expand(EXPERIMENT, part).runs()]
     monkeypatch.setattr(Campaign, "done", lambda self: set(planned[:1]))
     run.collect(1.0, [NAME], tmp_path, 1, tmp_path / "out")
-    assert begun == [("claim", len(planned), part), ("continue", len(planned) - 1, part)]
+    assert begun == [("claim", len(planned), part), ("resumed", len(planned) - 1, part)]
     monkeypatch.setattr(Campaign, "done", lambda self: set(planned))
     monkeypatch.setattr(run, "_ahead", lambda *_: [])
     run.collect(1.0, [NAME], tmp_path, 1, tmp_path / "out")

@@ -101,7 +101,7 @@ def test_a_difference_has_its_own_exit_code(run):
 
 def test_a_run_that_was_only_planned_is_refused_before_it_is_solved(run):
     folder, run_id, row = run
-    with pytest.raises(UserError, match=f"run {run_id} was planned, but not run .*not_needed"):
+    with pytest.raises(UserError, match=f"run {run_id} was not started .*not_needed"):
         stored(folder, {**row, "outcome": "not_needed", "status": "not_run", "fingerprint": ""})
 
 

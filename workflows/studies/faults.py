@@ -1,13 +1,13 @@
 """Faults during sweeps: ``python -m workflows.studies.faults OUT``.
 
 A sweep of at least 500 runs is disturbed at random moments, by one kind of fault after the other, and
-then continued until it is complete. Times excepted, its table must be that of an undisturbed sweep; no
-finished run may be lost or made again. The study writes ``faults.csv``.
+then continued until it is complete. Except for times, its table must equal that of an undisturbed sweep; no
+finished run may be lost or repeated. The study writes ``faults.csv``.
 
 Two faults need privileges, and have a substitute without them. A full disk is a small tmpfs for root, and
 otherwise a limit on the size of files. The clock is not set back: files get times in the future instead,
-which a program sees in the same way. Permissions do not bind root, so a file in the place of a folder
-stands for a folder that cannot be written.
+which a program sees in the same way. Root ignores permissions, so a file in the place of a folder
+simulates a folder that cannot be written.
 """
 
 from __future__ import annotations
@@ -294,7 +294,7 @@ def main(
     out: Annotated[Path, typer.Argument(help="folder for the table and the sweeps")],
     runs: Annotated[int, typer.Option(help="minimum number of runs of a sweep")] = 500,
     only: Annotated[list[str] | None, typer.Option(help="faults; default: all")] = None,
-    seed: Annotated[int, typer.Option(help="of the moments")] = 0,
+    seed: Annotated[int, typer.Option(help="of the random moments")] = 0,
 ) -> None:
     """Disturb a sweep by every fault; print and store what was lost and repeated."""
     rows = study(out, runs, only or list(FAULTS), seed)
