@@ -39,7 +39,10 @@ class Cell:
 
 @dataclass(frozen=True)
 class Matrix:
-    """Success of all methods on all tests of a model; the first column holds all tests together."""
+    """Success of all methods on all tests of a model.
+
+    The first column holds all tests together, unless each method ran on other instances.
+    """
 
     model: str
     columns: list[str]
@@ -77,7 +80,9 @@ def _matrix(tables: Tables, model: str, runs: pd.DataFrame) -> Matrix:
         method: {name: cells[method] for name, cells in columns.items() if method in cells}
         for method in sorted(first, key=rank)
     }
-    return Matrix(model, list(columns), rows)
+    # methods that ran on different instances cannot be compared over all tests
+    shown = [name for name in columns if not (name == ALL and tables.is_of_blocks)]
+    return Matrix(model, shown, rows)
 
 
 def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:

@@ -16,7 +16,7 @@ from data import registry
 from data.contract import RecordedDataset
 from workflows import UserError, records
 from workflows.disturb import DISTURBANCES
-from workflows.outcomes import OUTCOMES
+from workflows.outcomes import NOT_NEEDED, OUTCOMES, STARTED
 from workflows.stages.aggregate import REPLAY
 from workflows.studies import REFERENCE
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 COVERAGE = 0.95
 BOUNDS = ("lower_bound", "upper_bound")
 MOST_EVENTS = 200  # of a bound history in a figure
+STORED_EVENTS = 64  # of one in an archive, and where searches are compared by their histories
 PENALTY = 2.0  # time limits that a run without the right pose counts (PAR2)
 
 
@@ -60,6 +61,11 @@ class Tables:
         )
         tables.check_accounting()
         return tables
+
+    @cached_property
+    def is_of_blocks(self) -> bool:
+        """Whether methods ran only on the blocks that some claim needed (`workflows.blocks`)."""
+        return bool((self.runs["outcome"] == NOT_NEEDED).any())
 
     @cached_property
     def traces(self) -> pd.DataFrame:
@@ -252,11 +258,45 @@ def thin_trace(events: pd.DataFrame, most: int = MOST_EVENTS) -> pd.DataFrame:
     Longer histories keep `most` events, spread evenly over the logarithm of their position, so that the
     many early changes stay visible. No value is altered.
     """
-    bounds = events[list(BOUNDS)]
-    moved = (bounds != bounds.shift()).any(axis=1).to_numpy(copy=True)
-    moved[[0, -1]] = True
-    kept = events[moved]
+    kept = events[_moved(events[list(BOUNDS)].to_numpy())]
     return kept.iloc[thinned_positions(len(kept), most)]
+
+
+def thinned(traces: pd.DataFrame) -> pd.DataFrame:
+    """Return bound histories with at most `STORED_EVENTS` events a run, in the order of the runs.
+
+    The last event of every stage is kept.
+    """
+    if traces.empty:
+        return traces
+    groups = traces.groupby("run_id", sort=False)
+    return pd.concat([_thinned(part) for _, part in groups], ignore_index=True)
+
+
+def _thinned(events: pd.DataFrame) -> pd.DataFrame:
+    return events.iloc[
+        stored_positions(events["stage"].to_numpy(), events[list(BOUNDS)].to_numpy())
+    ]
+
+
+def stored_positions(stage: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """Return the positions that `thinned` keeps of a history with (E,) stages and (E, 2) bounds."""
+    ends = np.array(sorted({name: at for at, name in enumerate(stage)}.values()))
+    kept = np.flatnonzero(_moved(bounds))
+    return np.union1d(kept[thinned_positions(len(kept), STORED_EVENTS - len(ends))], ends)
+
+
+def _moved(bounds: np.ndarray) -> np.ndarray:
+    """Tell of the first, the last and every event in which a bound changes."""
+    moved = np.ones(len(bounds), dtype=bool)
+    moved[1:-1] = (bounds[1:-1] != bounds[:-2]).any(axis=1)
+    return moved
+
+
+def started_in(place: Path) -> int:
+    """Return the number of started runs in the tables of a folder of results."""
+    accounting = pd.read_csv(place / "tables" / "accounting.csv")
+    return int(accounting[list(STARTED)].to_numpy().sum())
 
 
 def thinned_positions(count: int, most: int = MOST_EVENTS) -> np.ndarray:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from workflows import CHECKOUT, UserError, records
 from workflows.integrity import digest
 from workflows.journal import Key, as_lines, key_of
+from workflows.outcomes import STARTED
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 ARCHIVES = CHECKOUT / "reports" / "archive"
 CHECKSUMS, RUNS, TRACES = "checksums.sha256", "runs.parquet", "traces.parquet"
 FACTS = "archive.json"
-REUSED = ("finished", "limited")  # outcomes; a failed run is tried again
 
 
 class ArchiveError(UserError):
@@ -107,8 +107,8 @@ def is_inside(name: str) -> bool:
 def archived(method: str) -> dict[Key, dict[str, Any]]:
     """Return the archived runs of a method by run_id, input and fingerprint, in the form of a journal.
 
-    Only finished and limited ones. Their bound histories are thinned. If several archives have the same
-    run, the latest one counts.
+    Failed ones as well: otherwise only failures would get a second chance. Bound histories are thinned.
+    If several archives have the same run, the latest one counts.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def _rows(folder: Path, method: str) -> Iterator[dict[str, Any]]:
     import pandas as pd
 
     _checked(folder)
-    wanted = [("method", "==", method), ("outcome", "in", REUSED)]
+    wanted = [("method", "==", method), ("outcome", "in", STARTED)]
     columns = ["experiment", *records.RAW]
     runs = pd.read_parquet(folder / RUNS, columns=columns, filters=wanted)
     if runs.empty:

@@ -359,12 +359,11 @@ def _contradiction(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[st
 
 def _rank(status: str) -> int:
     """Return 0 for a run that ended by itself or at a limit of work, 1 at another limit, else 2."""
-    from workflows.archives import REUSED
-    from workflows.outcomes import TIMED, outcome
+    from workflows.outcomes import ENDED, TIMED, outcome
 
     if status in TIMED:
         return 1
-    return 0 if outcome(status) in REUSED else 2
+    return 0 if outcome(status) in ENDED else 2
 
 
 def _result(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -36,6 +36,7 @@ GROUPS: dict[Status, Group] = {
 }
 OUTCOMES = tuple(dict.fromkeys(group.outcome for group in GROUPS.values()))
 STARTED = OUTCOMES[: OUTCOMES.index("failed") + 1]
+ENDED = STARTED[:-1]  # with a result: finished or at a limit
 TIMED = tuple(status.value for status, group in GROUPS.items() if group.is_timed)
 
 
@@ -44,6 +45,15 @@ def outcome(status: str) -> str:
     with suppress(ValueError):
         return GROUPS[Status(status)].outcome
     raise UserError(f"status {status!r} of a run has no outcome; solve the run again")
+
+
+def stated(status: str, bound_ratio: float | None) -> str:
+    """Return the status of a run in the tables: an optimum needs a lower bound above 0 or an exact fit.
+
+    The stopping rule of some methods allows an absolute gap, which can exceed the whole objective.
+    """
+    is_vacuous = status == Status.OPTIMAL and bound_ratio is not None and bound_ratio <= 0.0
+    return Status.CONVERGED.value if is_vacuous else status
 
 
 def attempted(runs: pd.DataFrame) -> pd.DataFrame:

@@ -17,13 +17,11 @@ from dcreg.files import whole_file
 from workflows import CHECKOUT, HISTORY, UserError, provenance, records
 from workflows.config import search_next_to
 from workflows.integrals import COLUMNS, integrals
-from workflows.integrity import digest
 
 if TYPE_CHECKING:
     import pandas as pd
 
 RUNS, ABOUT = "runs.parquet", "about.json"
-LOCK = CHECKOUT / "requirements.lock"
 MOST_BYTES = 100_000  # of a record in the checkout, which is committed
 _COPIED = (
     "schema_version",
@@ -76,7 +74,7 @@ def of_results(folder: Path) -> Record:
         search_next_to(CHECKOUT / config_file)
     is_own = known["git"]["commit"] == provenance.git_state()["commit"]
     about |= {
-        "lock_sha256": digest(LOCK) if is_own else "",
+        "lock_sha256": known.get("lock_sha256", ""),
         "methods": {
             name: {
                 **{

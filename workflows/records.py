@@ -99,7 +99,9 @@ RAW: dict[str, Column] = {
         True,
     ),
     "machine_id": Column(str, "hash of the machine card; times compare only within one", True),
-    "parallel_jobs": Column(float, "maximum number of jobs that ran at the same time"),
+    "parallel_jobs": Column(
+        float, "maximum number of jobs that ran at the same time; empty if unknown (clusters)"
+    ),
     "extra": Column(str, "JSON of further numbers that the method reports"),
 }
 

@@ -15,7 +15,7 @@ from baselines.contract import Baseline, Instance, Solution
 from workflows import CHECKOUT, UserError, archives, provenance, records
 from workflows.config import Experiment, load, origin, search_next_to
 from workflows.instances import content_digest
-from workflows.outcomes import STARTED
+from workflows.outcomes import ENDED, STARTED
 from workflows.stages.generate import instance_of
 from workflows.stages.plan import Plan, PlannedRun, expand
 from workflows.stages.worker import COUNTERS
@@ -159,7 +159,7 @@ def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: Plann
             return f"not compared: another {what} ({stored[name]} stored, {found[name]} here)"
     if not registry.read_card(run.method.baseline).deterministic:
         return "not compared: the method is not deterministic"
-    if stored["outcome"] not in archives.REUSED:
+    if stored["outcome"] not in ENDED:
         return f"not compared: the stored run has the status {stored['status']}"
     one, other = comparable(found), comparable(stored)
     if one == other:

@@ -3,7 +3,7 @@
 ====================================== =======================================================
 ``archive.json``                       version, schema, hash of the lock file, experiments
 ``runs.parquet``                       all columns of ``tables/runs`` (`workflows.records`)
-``traces.parquet``                     bound histories, at most `write.MOST_EVENTS` events a run
+``traces.parquet``                     bound histories, at most `tables.STORED_EVENTS` events a run
 ``experiments/NAME/provenance.json``   config, options, cards, machine, versions of a run
 ``experiments/NAME/overlays.json.gz``  points and poses of the runs that a report shows
 ``experiments/NAME/clouds.parquet``    thinned clouds of its instances, as far as they fit

@@ -27,6 +27,7 @@ from workflows.archives import (
 )  # fmt: skip
 from workflows.blocks import NEEDS
 from workflows.integrity import digest, sealed_file
+from workflows.outcomes import stated
 from workflows.stages.aggregate import accounting
 from workflows.stages.clouds import CLOUDS
 
@@ -104,7 +105,9 @@ def restore(folder: Path, out: Path, only: str = "") -> list[Path]:
 
 
 def _restore_one(stored: Path, runs: pd.DataFrame, events: pd.DataFrame, tables: Path) -> None:
-    records.write(records.conform(runs, records.runs_columns(), "runs"), tables / "runs.parquet")
+    runs = records.conform(runs, records.runs_columns(), "runs")
+    runs["status"] = [*map(stated, runs["status"], runs["bound_ratio"])]  # of earlier versions
+    records.write(runs, tables / "runs.parquet")
     records.write(records.conform(events, records.TRACES, "traces"), tables / "traces.parquet")
     accounting(runs).to_csv(tables / "accounting.csv", index=False)
     shutil.copyfile(stored / "provenance.json", tables / "provenance.json")

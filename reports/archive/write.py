@@ -21,17 +21,15 @@ from reports.archive.crate import describe
 from reports.archive.read import restore
 from reports.archive.sources import public, write_readme, write_sources
 from reports.ledger.evidence import STUDY
-from reports.tables import ReportError, Tables, thin_trace
-from workflows import CHECKOUT, provenance, records
+from reports.tables import ReportError, Tables, started_in, thinned
+from workflows import provenance, records
 from workflows.archives import CHECKSUMS, FACTS, RUNS, TRACES, check
 from workflows.blocks import EVIDENCE, NEEDS
 from workflows.integrity import digest
 from workflows.outcomes import STARTED
 
-MOST_EVENTS = 64  # of a run's bound history
 MOST_BYTES = 25_000_000  # of an archive
 SHARE_BEFORE_CHECKSUMS = 0.9  # of these bytes: clouds fill what the tables leave
-LOCK = CHECKOUT / "requirements.lock"
 # Columns of a history that the runs have as well.
 _SHARED = ["method", "instance_id"]
 
@@ -75,7 +73,7 @@ def _refuse_fewer(results: Sequence[Path], earlier: Path, out: Path) -> None:
         found, stored = _with_tables(new[name]), _with_tables(old[name])
         if found is None or stored is None:
             continue
-        few, many = (_runs_in(place, STARTED) for place in (found, stored))
+        few, many = (started_in(place) for place in (found, stored))
         if few < many:
             raise ReportError(
                 f"{found}: {few} runs of {name} ended, but {out} contains {many}, which would be lost; "
@@ -140,33 +138,14 @@ def _size(folder: Path) -> int:
 def _with_tables(place: Path) -> Path | None:
     """Return the folder of an experiment that has its tables.
 
-    Collected evidence comes first, then the whole experiment, then the part with the most runs.
+    If it has several, of all its runs, of collected evidence, or of parts, the most started runs decide.
     """
-    parts = sorted(place.glob("parts/*"), key=_runs_in, reverse=True)
-    return next((path for path in (place / EVIDENCE, place, *parts) if _runs_in(path)), None)
-
-
-def _runs_in(place: Path, columns: Sequence[str] = ("planned",)) -> int:
-    """Return how many runs columns of the accounting count; 0 without tables."""
-    path = place / "tables" / "accounting.csv"
-    return int(pd.read_csv(path)[list(columns)].to_numpy().sum()) if path.is_file() else 0
-
-
-def thinned(traces: pd.DataFrame) -> pd.DataFrame:
-    """Return bound histories with at most `MOST_EVENTS` events a run, in the order of the runs.
-
-    The last event of every stage is kept.
-    """
-    if traces.empty:
-        return traces
-    groups = traces.groupby("run_id", sort=False)
-    return pd.concat([_thinned(part) for _, part in groups], ignore_index=True)
-
-
-def _thinned(events: pd.DataFrame) -> pd.DataFrame:
-    ends = events.groupby("stage", sort=False).tail(1)
-    kept = thin_trace(events, MOST_EVENTS - len(ends)).index.union(ends.index)
-    return events.loc[kept]
+    known = [
+        path
+        for path in (place / EVIDENCE, place, *sorted(place.glob("parts/*")))
+        if (path / "tables" / "accounting.csv").is_file()
+    ]
+    return max(known, key=started_in, default=None)
 
 
 def _write_tables(tables: Sequence[Tables], out: Path) -> None:
@@ -203,7 +182,6 @@ def _facts(tables: Sequence[Tables], version: str) -> dict[str, Any]:
         "created": provenance.now(),
         "schema_version": records.SCHEMA_VERSION,
         "git": {key: value for key, value in provenance.git_state().items() if key != "untracked"},
-        "lock_sha256": digest(LOCK),
         "machines": sorted({str(each.provenance.get("machine", {}).get("cpu")) for each in tables}),
         "experiments": {
             each.experiment: {
@@ -211,6 +189,7 @@ def _facts(tables: Sequence[Tables], version: str) -> dict[str, Any]:
                 "runs": len(each.runs),
                 "started": int(each.runs["outcome"].isin(STARTED).sum()),
                 "commands": each.provenance.get("commands", []),
+                "lock_sha256": each.provenance.get("lock_sha256", ""),  # unknown in earlier tables
             }
             for each in tables
         },

@@ -44,12 +44,16 @@ def build(tables: Tables, styles: dict[str, Style], model: str) -> Figure:
     fastest = rivals.groupby(runs["instance_id"]).transform("min")
     work = {name: runs[name].astype(float).where(right).clip(lower=1.0) for name in counted}
     runs = runs.assign(**{_TIME: times, _RATIO: times / fastest, **work})
+    # no method is the fastest if each ran on other instances
+    panels = {name: of for name, of in _PANELS.items() if name != _RATIO or not tables.is_of_blocks}
     views = {
-        title: _view(runs, here, styles, {name: ("work, right poses only", title, _within(title))})
+        title: _view(
+            runs, here, styles, {**panels, name: ("work, right poses only", title, _within(title))}
+        )
         for name, title in WORK.items()
         if name in runs and runs[name].notna().any()
     }
-    views = views or {"": _view(runs, here, styles, {})}
+    views = views or {"": _view(runs, here, styles, panels)}
     layout = next(iter(views.values()))["layouts"]["wide"]
     payload = {
         "views": views,
@@ -66,10 +70,9 @@ def _view(
     runs: pd.DataFrame,
     here: pd.Series,
     styles: dict[str, Style],
-    work: dict[str, tuple[str, str, str]],
+    panels: dict[str, tuple[str, str, str]],
 ) -> dict[str, Any]:
-    """Return the panels, with one of `work` last; `here` marks the runs of the machine of all times."""
-    panels = {**_PANELS, **work}
+    """Return the panels; `here` marks the runs of the machine of all times."""
     grid, traces = Grid(column_titles=[title for title, *_ in panels.values()]), []
     for column, (name, (_, title, share)) in enumerate(panels.items()):
         axes = grid.add(Panel(0, column, title, "share of runs", x_type="log", share_x=False))

@@ -7,6 +7,7 @@ shown to be small.
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ from reports.ledger import intervals
 from reports.ledger.finding import (
     CUT,
     SHARED,
+    TIMES,
     Finding,
     Parameters,
     Source,
@@ -25,6 +27,7 @@ from reports.ledger.finding import (
     paired,
     titled,
 )
+from reports.tables import BOUNDS, stored_positions
 
 if TYPE_CHECKING:
     import polars as pl
@@ -130,15 +133,19 @@ def _histories(
     import polars as pl
 
     own = pl.LazyFrame({"run_id": run_ids}, {"run_id": pl.String})
-    known = traces.filter(pl.col("upper_bound") > 0).join(
-        own, on="run_id", how="semi", maintain_order="left"
-    )
-    upper, lower = pl.col("upper_bound"), pl.col("lower_bound")
-    gap = ((upper - lower) / upper).clip(upper_bound=1.0)
-    table = known.select("run_id", gap=gap, spent=counter).collect().to_pandas()
-    gaps, spent = table["gap"].to_numpy(), table["spent"].to_numpy(dtype=float)
-    places = table.groupby("run_id", sort=False).indices
-    return {str(run): (gaps[rows], spent[rows]) for run, rows in places.items()}
+    known = traces.join(own, on="run_id", how="semi", maintain_order="left")
+    events = known.select("run_id", "stage", *BOUNDS, counter).collect().to_pandas()
+    stage, bounds = events["stage"].to_numpy(), events[list(BOUNDS)].to_numpy(dtype=float)
+    spent = events[counter].to_numpy(dtype=float)
+    found = {}
+    for run, rows in events.groupby("run_id", sort=False).indices.items():
+        # histories of archived runs are thinned, so all are
+        kept = rows[stored_positions(stage[rows], bounds[rows])]
+        lower, upper = bounds[kept].T
+        if (is_known := upper > 0.0).any():
+            gap = (upper - lower)[is_known] / upper[is_known]
+            found[str(run)] = np.minimum(gap, 1.0), spent[kept][is_known]
+    return found
 
 
 def _work_to_equal_gap(
@@ -202,9 +209,9 @@ def sensitivity(source: Source, p: Parameters) -> Finding:
         return finding
     names = played[0][0], played[2][0]
     for quantity in p["quantities"]:
-        tables = [runs.dropna(subset=quantity) for _, runs in played]
-        common = set.intersection(*(set(table["instance_id"]) for table in tables))
-        tables = [t[t["instance_id"].isin(common)].sort_values("instance_id") for t in tables]
+        tables = [_comparable(runs.dropna(subset=quantity), quantity) for _, runs in played]
+        common = functools.reduce(pd.Index.intersection, (table.index for table in tables))
+        tables = [table.loc[common] for table in tables]
         for (test, _), _part in groups(tables[0], {"by": ["test"]}):
             parts = [
                 table[table["test"].map(str).str.replace("_", " ") == test] for table in tables
@@ -218,6 +225,12 @@ def sensitivity(source: Source, p: Parameters) -> Finding:
                 *parts, rises=limited, falls=limited,
             )  # fmt: skip
     return finding
+
+
+def _comparable(runs: pd.DataFrame, quantity: str) -> pd.DataFrame:
+    """Return runs indexed by instance, and for times also by the number of parallel jobs."""
+    jobs = runs["parallel_jobs"].fillna(0.0) if quantity in TIMES else 0.0
+    return runs.assign(jobs=jobs).set_index(["instance_id", "jobs"])
 
 
 def _factors(means: np.ndarray) -> np.ndarray:

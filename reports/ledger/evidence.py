@@ -15,10 +15,10 @@ import numpy as np
 import pandas as pd
 
 from dcreg.names import POSE_SCOPES
-from reports.tables import Tables, check_study
+from reports.tables import Tables, check_study, started_in
 from workflows.blocks import EVIDENCE
 from workflows.compose import QUICK
-from workflows.outcomes import NOT_NEEDED, attempted, is_timed, main_machine
+from workflows.outcomes import attempted, main_machine
 
 STUDY = "bounds"  # has no planned runs: its tables are next to those of the experiments
 _TIER = re.compile(rf"-(\d+)(?:{QUICK})?$")  # experiments with another number of points
@@ -81,11 +81,6 @@ class Experiment:
         """Whether this is the quick part of an experiment."""
         return self.tables.experiment.endswith(QUICK)
 
-    @cached_property
-    def is_of_blocks(self) -> bool:
-        """Whether methods ran only on the blocks that some claim needed (`workflows.blocks`)."""
-        return bool((self.tables.runs["outcome"] == NOT_NEEDED).any())
-
     @property
     def variables(self) -> str:
         """The variables of make that choose this part of the experiment."""
@@ -108,8 +103,7 @@ class Experiment:
             runs["lower_bound"] > runs["objective_best"] * (1 + 1e-9) + 1e-12
         )
         of_pose = runs["certificate_scope"].isin(POSE_SCOPES)
-        upper = runs["upper_bound"].where(runs["upper_bound"] > 0)
-        here = is_timed(runs)
+        here = runs["machine_id"] == self.machine_id
         return runs.assign(
             error=(runs["rmse"] / scale).fillna(NO_POSE).clip(lower=MIN_ERROR),
             excess=(runs["rmse_excess"] / scale).fillna(NO_POSE).clip(lower=MIN_ERROR),
@@ -120,7 +114,7 @@ class Experiment:
             wrong=~runs["success"].astype(bool),
             search_error=runs["verdict"].eq("search_error").astype(float),
             certified=runs["status"].eq("optimal") & of_pose,
-            open_gap=((runs["gap"] / upper).clip(0.0, 1.0)).where(runs["gap"].notna()),
+            open_gap=_open_gap(runs),
             violation=(violated & of_pose).astype(float),
             limited=runs["outcome"].eq("limited"),
             **_translation(runs, self.tables.cards, here),
@@ -193,6 +187,16 @@ def methods_in(
     return list(best.values())
 
 
+def _open_gap(runs: pd.DataFrame) -> pd.Series:
+    """Return the share of the objective that is not proven: 0 for an exact fit, 1 without bounds.
+
+    It is missing for methods that state no bounds.
+    """
+    is_bounding = runs["gap"].notna().groupby(runs["method"]).transform("any")
+    proven = runs["bound_ratio"].mask(runs["gap"].isna(), 0.0)
+    return (1.0 - proven).clip(0.0, 1.0).where(is_bounding)
+
+
 def _time(runs: pd.DataFrame, cards: Mapping[str, Mapping[str, Any]]) -> pd.Series:
     """Return the seconds of runs: a run at a limit took at least these, one of unknown time its limit."""
     limits = runs["method"].map(
@@ -248,7 +252,7 @@ class Evidence:
         """Return the tables below `folders`: results of experiments, or folders of such results.
 
         If an experiment has several tables, those in the folder of its name come first, then the whole
-        experiment before its quick part, then all points before fewer points.
+        experiment before its quick part, then all points before fewer points, then more started runs.
         """
         found: dict[str, tuple[Path, Tables]] = {}
         study: dict[str, pd.DataFrame] = {}
@@ -263,7 +267,9 @@ class Evidence:
             for place in places
             if (place / "tables" / "accounting.csv").is_file()
         }
-        for place in sorted(tables, key=lambda at: _rank(at, tables[at].experiment)):
+        started = {place: started_in(place) for place in tables}
+        order = lambda at: (*_rank(at, tables[at].experiment), -started[at])  # noqa: E731
+        for place in sorted(tables, key=order):
             name = plain_name(tables[place].experiment)
             taken, _ = found.setdefault(name, (place, tables[place]))
             if taken != place:

@@ -34,7 +34,8 @@ FEWER_POINTS = "searches of fewer points than in the whole experiment take less 
 LEAST = {"time": "translation_time"}
 SHARED = ["dataset", "shape", "trial"]  # identify the same trial at different levels
 CUT = {"translation_time": "translation_limited", "translation_nodes": "translation_limited"}
-OF_RIVAL = ("limited", "gap_tol", "translation_limited", "translation_time")
+OF_RIVAL = ("limited", "gap_tol", "translation_limited", "translation_time", "parallel_jobs")
+TIMES = ("time", "translation_time")
 # Quantity -> the one shown in the second column.
 SECOND = {"error": "excess", "time": "n_assignments", "translation_time": "translation_nodes"}
 WITH_SECOND = ("ratio", "value", "rise", "slope", "scatter", "race")  # kinds with a quantity
@@ -288,12 +289,18 @@ def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[tuple[str, str]
 
 
 def paired(one: pd.DataFrame, other: pd.DataFrame, *quantities: str) -> pd.DataFrame:
-    """Return the values of both on every common instance."""
+    """Return the values of both on every common instance.
+
+    Times are compared only if the same number of jobs ran at once.
+    """
     columns = list(quantities)
     theirs = other[["instance_id", "run_id", *dict.fromkeys([*OF_RIVAL, *columns])]]
     both = one.merge(
         theirs.assign(place=np.arange(len(other))), on="instance_id", suffixes=("", "_rival")
     )
+    if not set(columns).isdisjoint(TIMES):
+        jobs = both[["parallel_jobs", "parallel_jobs_rival"]].fillna(0.0)
+        both = both[jobs["parallel_jobs"] == jobs["parallel_jobs_rival"]]
     return both.dropna(subset=[*columns, *(f"{column}_rival" for column in columns)])
 
 

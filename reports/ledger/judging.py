@@ -107,7 +107,7 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
     if runs and experiment is not None:
         reason += f". {_limits(experiment, runs)}"
     command = book.commands[claim.experiment]
-    if experiment is not None and experiment.is_of_blocks:
+    if experiment is not None and experiment.tables.is_of_blocks:
         command = f"make evidence EXPERIMENTS={experiment.tables.experiment}"
         reason += f"; run more blocks: {command}" if verdict == NOT_RUN else ""
     elif verdict == NOT_RUN:
@@ -137,7 +137,7 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
 
 def _design(book: Ledger, experiment: Experiment | None) -> planned.Design | None:
     """Return what the claims compare in an experiment of blocks; None for others."""
-    if experiment is None or not experiment.is_of_blocks:
+    if experiment is None or not experiment.tables.is_of_blocks:
         return None
     datasets = (experiment.tables.provenance.get("config") or {}).get("datasets") or []
     if not datasets or not all(entry.get("shapes") for entry in datasets):

@@ -159,8 +159,9 @@ def agreed(finding: Finding, decided: Sequence[Decided]) -> list[Decided]:
         same: dict[tuple[str, ...], list[int]] = {}
         for at, each in enumerate(found):
             part = each.part
-            if part.rival in names or (not part.rival and part.subject in names):
-                place = (part.subject if part.rival else "", part.group, part.where)
+            if part.rival in names or part.subject in names:
+                other = part.subject if part.rival in names else part.rival
+                place = (other, part.group, part.where)
                 same.setdefault(place, []).append(at)
         for members in same.values():
             verdicts = {found[at].verdict for at in members}

@@ -61,7 +61,10 @@ def context(page: Page) -> dict[str, Any]:
         "claims": len(ledger().claims),
         "matrices": found,
         "is_compared": any(matrix.is_compared for matrix in found),
-        "sentences": [sentence(matrix, page.styles) for matrix in found],
+        "sentences": []
+        if tables.is_of_blocks
+        else [sentence(matrix, page.styles) for matrix in found],
+        "is_of_blocks": tables.is_of_blocks,
         "outcomes": rows,
         "models": list(dict.fromkeys(row["model"] for row in rows)),
         "unfinished": sum(row["unfinished"] for row in rows),

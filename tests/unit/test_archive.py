@@ -17,7 +17,7 @@ from reports.archive import clouds as archived_clouds
 from reports.archive import crate, pages, read
 from reports.archive import write as writing
 from reports.runs import clouds as drawn_clouds
-from reports.tables import ReportError, Tables
+from reports.tables import STORED_EVENTS, ReportError, Tables, thinned
 from workflows import records
 from workflows.archives import ArchiveError, archived
 from workflows.blocks import NEEDS
@@ -49,7 +49,7 @@ def test_restored_tables_are_those_of_the_results(results, archive, tmp_path):
         stored, original = Tables.load(place), Tables.load(results / place.parent.name / "tables")
         assert_frame_equal(stored.runs, original.runs)
         assert_frame_equal(stored.accounting, original.accounting)
-        assert_frame_equal(stored.traces, writing.thinned(original.traces))
+        assert_frame_equal(stored.traces, thinned(original.traces))
         assert (stored.provenance, stored.overlays) == (original.provenance, original.overlays)
         assert drawn_clouds.of_instances(stored) == drawn_clouds.of_instances(original)
     assert set_aside_damaged(tmp_path) == []
@@ -134,20 +134,20 @@ def test_the_committed_archive_has_no_clouds_and_says_so(tmp_path):
 
 
 def test_histories_keep_their_ends_and_at_most_the_stated_events():
-    many = 10 * writing.MOST_EVENTS
+    many = 10 * STORED_EVENTS
     events = pd.DataFrame(
         {"run_id": ["a"] * many + ["b"], "time_s": [*range(many), 0], "lower_bound": [*range(many), 0],
          "upper_bound": 1.0, "stage": ["start"] + ["search"] * (many - 1) + ["search"]}
     )  # fmt: skip
-    kept = writing.thinned(events)
-    assert kept["run_id"].value_counts()["a"] <= writing.MOST_EVENTS
+    kept = thinned(events)
+    assert kept["run_id"].value_counts()["a"] <= STORED_EVENTS
     assert set(kept["run_id"]) == {"a", "b"}
     assert list(kept["time_s"].iloc[[0, -2]]) == [0, many - 1]
     flat = pd.DataFrame(
         {"run_id": "a", "stage": ["translation"] * 3 + ["rotation"] * 2, "time_s": range(5),
          "lower_bound": 0.0, "upper_bound": 1.0}
     )  # fmt: skip
-    assert list(writing.thinned(flat)["time_s"]) == [0, 2, 4]  # no bound changes, but a stage ends
+    assert list(thinned(flat)["time_s"]) == [0, 2, 4]  # no bound changes, but a stage ends
 
 
 def test_an_archive_of_the_same_results_has_the_same_tables(results, archive, tmp_path):
@@ -365,7 +365,7 @@ def test_archived_runs_are_found_again_with_their_histories(results, archive, mo
             (original,) = usable[usable["run_id"] == row["run_id"]].to_dict("records")
             assert all(original[column] == row[column] for column in row if column != "trace")
             events = tables.traces[tables.traces["run_id"] == row["run_id"]]
-            kept = writing.thinned(events)["upper_bound"].dropna().tolist()
+            kept = thinned(events)["upper_bound"].dropna().tolist()
             assert [
                 event["upper_bound"] for event in row["trace"] if "upper_bound" in event
             ] == kept

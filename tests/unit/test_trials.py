@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from workflows import archives
-from workflows.archives import REUSED, RUNS
+from workflows.archives import RUNS
+from workflows.outcomes import ENDED
 
 EXPERIMENTS = "paper2d-40", "paper3d-40"
 
@@ -31,7 +32,7 @@ def ratios(runs: pd.DataFrame, quantity: str) -> np.ndarray:
 def test_errors_from_trials_are_usually_smaller_than_from_instances():
     folder = archives.folders()[-1]
     runs = pd.read_parquet(folder / RUNS)
-    runs = runs[runs["outcome"].isin(REUSED) & runs["experiment"].isin(EXPERIMENTS)]
+    runs = runs[runs["outcome"].isin(ENDED) & runs["experiment"].isin(EXPERIMENTS)]
     for quantity in ("success", "rmse"):
         found = ratios(runs, quantity)
         assert len(found) >= 10

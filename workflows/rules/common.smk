@@ -50,7 +50,8 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 )
 # Solve jobs that share a job of a cluster run one after the other.
 is_remote = workflow.exec_mode == ExecMode.REMOTE
-os.environ["DCREG_PARALLEL_JOBS"] = "1" if is_remote else str(workflow.cores or 1)
+# Which other jobs share a node of a cluster is not known.
+os.environ["DCREG_PARALLEL_JOBS"] = "" if is_remote else str(workflow.cores or 1)
 
 
 # `group-components` of a cluster's profile, once the rules are read, in the process that submits the jobs.

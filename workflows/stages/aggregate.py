@@ -17,12 +17,14 @@ from dcreg.status import Status
 from workflows import CHECKOUT, attribution, outcomes, provenance, records
 from workflows.installed import why_not_here
 from workflows.instances import read_problems
-from workflows.integrity import sealed_file
+from workflows.integrity import digest, sealed_file
 from workflows.labels import display_names
 from workflows.metrics import METRICS
 from workflows.outcomes import NOT_NEEDED, OUTCOMES
 from workflows.stages.clouds import CLOUDS, clouds
 from workflows.stages.plan import Plan, plan_table
+
+LOCK = CHECKOUT / "requirements.lock"
 
 if TYPE_CHECKING:
     import polars as pl
@@ -283,6 +285,7 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
         "machines_of_runs": sorted(runs["machine_id"].unique()),
         "versions": provenance.versions(),
         "git": provenance.git_state(),
+        "lock_sha256": digest(LOCK) if LOCK.is_file() else "",
         "created": provenance.now(),
         "commands": [run_command(plan)],
         "replay": replay_of(),

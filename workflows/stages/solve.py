@@ -27,6 +27,7 @@ from workflows.config import Experiment, MethodSettings
 from workflows.instances import content_digest, read_problems, read_truths, with_oracle
 from workflows.integrity import opened, sealed
 from workflows.journal import appending, journalled, key_of
+from workflows.outcomes import stated
 from workflows.stages.plan import method_identity, run_identity
 from workflows.stages.progress import Reporter
 from workflows.stages.sandbox import Sandbox
@@ -99,10 +100,11 @@ def _rows(
     refused: Mapping[str, str],
 ) -> Iterator[dict[str, Any]]:
     """Yield a row per instance, in order: from a journal, solved now, or `refused` with the reason."""
+    jobs = os.environ.get("DCREG_PARALLEL_JOBS", "1")
     constant = {
         "fingerprint": registry.fingerprint(method.baseline),
         "machine_id": provenance.machine_card()["machine_id"],
-        "parallel_jobs": float(os.environ.get("DCREG_PARALLEL_JOBS", 1)),
+        "parallel_jobs": float(jobs) if jobs else None,
     }
     finished = {**archived(method.name), **journalled(runs_path.parent)}
     settings = method_identity(experiment, method)
@@ -131,7 +133,7 @@ def _rows(
                 yield {**identity, **_plain({"status": Status.UNSUPPORTED, "message": reason}, 0.0)}
                 continue
             if row := finished.get(key_of(identity)):
-                yield row
+                yield {**row, "status": stated(row["status"], row.get("bound_ratio"))}
                 continue
             reporter.begin(instance.instance_id)
             started = sandbox.time_started_s
@@ -151,13 +153,13 @@ def _rows(
 def _plain(answer: dict[str, Any], exact: float) -> dict[str, Any]:
     """Return a worker's answer in the columns of `records.RAW`; `exact` is that of `bound_ratio`."""
     lower, upper = answer.get("lower_bound"), answer.get("upper_bound")
-    pose = answer.get("T_target_source")
+    pose, ratio = answer.get("T_target_source"), bound_ratio(lower, upper, exact)
     return {
         **answer,
-        "status": Status(answer["status"]).value,
+        "status": stated(Status(answer["status"]).value, ratio),
         "T_target_source": json.dumps(pose) if pose else "",
         "gap": max(0.0, upper - lower) if lower is not None and upper is not None else None,
-        "bound_ratio": bound_ratio(lower, upper, exact),
+        "bound_ratio": ratio,
         "extra": json.dumps(answer.get("extra", {})),
     }
 

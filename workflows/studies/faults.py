@@ -1,8 +1,8 @@
 """Faults during sweeps: ``python -m workflows.studies.faults OUT``.
 
 A sweep of at least 500 runs is disturbed at random moments, by one kind of fault after the other, and
-then continued until it is complete. Except for times, its table must equal that of an undisturbed sweep; no
-finished run may be lost or repeated. The study writes ``faults.csv``.
+then continued until it is complete. Except for times, its table must equal that of an undisturbed
+sweep; no finished run may be lost or repeated. The study writes ``faults.csv``.
 
 Two faults need privileges, and have a substitute without them. A full disk is a small tmpfs for root, and
 otherwise a limit on the size of files. The clock is not set back: files get times in the future instead,
