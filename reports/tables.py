@@ -294,9 +294,9 @@ def _moved(bounds: np.ndarray) -> np.ndarray:
 
 
 def started_in(place: Path) -> int:
-    """Return the number of started runs in the tables of a folder of results."""
-    accounting = pd.read_csv(place / "tables" / "accounting.csv")
-    return int(accounting[list(STARTED)].to_numpy().sum())
+    """Return the number of started runs in the tables of a folder of results; -1 without tables."""
+    path = place / "tables" / "accounting.csv"
+    return int(pd.read_csv(path)[list(STARTED)].to_numpy().sum()) if path.is_file() else -1
 
 
 def thinned_positions(count: int, most: int = MOST_EVENTS) -> np.ndarray:

@@ -140,12 +140,8 @@ def _with_tables(place: Path) -> Path | None:
 
     If it has several, of all its runs, of collected evidence, or of parts, the most started runs decide.
     """
-    known = [
-        path
-        for path in (place / EVIDENCE, place, *sorted(place.glob("parts/*")))
-        if (path / "tables" / "accounting.csv").is_file()
-    ]
-    return max(known, key=started_in, default=None)
+    best = max((place / EVIDENCE, place, *sorted(place.glob("parts/*"))), key=started_in)
+    return best if started_in(best) >= 0 else None
 
 
 def _write_tables(tables: Sequence[Tables], out: Path) -> None:

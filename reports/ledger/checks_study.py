@@ -9,7 +9,7 @@ from reports.ledger import intervals
 from reports.ledger.finding import Finding, Parameters, Source, check
 from workflows.studies import N_FITTED, SHOWING
 
-BOX = ["instance", "place", "draw"]  # identify a box up to its width
+BOX = ["instance", "trial"]  # identify a box up to its width
 
 
 @check("boxes", of_study=True)

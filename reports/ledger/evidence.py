@@ -252,7 +252,8 @@ class Evidence:
         """Return the tables below `folders`: results of experiments, or folders of such results.
 
         If an experiment has several tables, those in the folder of its name come first, then the whole
-        experiment before its quick part, then all points before fewer points, then more started runs.
+        experiment before its quick part, then all points before fewer points. Of collected evidence and
+        of the runs of all trials, the one with more started runs comes first.
         """
         found: dict[str, tuple[Path, Tables]] = {}
         study: dict[str, pd.DataFrame] = {}
@@ -260,16 +261,15 @@ class Evidence:
         places = [
             place
             for folder in folders
-            for place in (folder, *sorted(folder.glob("*")), *sorted(folder.glob(f"*/{EVIDENCE}")))
+            for home in (folder, *sorted(folder.glob("*")))
+            for place in sorted((home, home / EVIDENCE), key=started_in, reverse=True)
         ]
         tables = {
             place: Tables.load(place / "tables")
             for place in places
             if (place / "tables" / "accounting.csv").is_file()
         }
-        started = {place: started_in(place) for place in tables}
-        order = lambda at: (*_rank(at, tables[at].experiment), -started[at])  # noqa: E731
-        for place in sorted(tables, key=order):
+        for place in sorted(tables, key=lambda at: _rank(at, tables[at].experiment)):
             name = plain_name(tables[place].experiment)
             taken, _ = found.setdefault(name, (place, tables[place]))
             if taken != place:
@@ -302,7 +302,8 @@ def _read_study(folder: Path) -> dict[str, pd.DataFrame]:
     if not all(path.is_file() for path in paths.values()):
         return {}
     study = {name: pd.read_csv(path) for name, path in paths.items()}
-    check_study(study["searches"], folder)
+    for table in study.values():
+        check_study(table, folder)
     return study
 
 

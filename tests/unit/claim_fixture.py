@@ -59,7 +59,7 @@ def runs_of(method: str, **columns) -> pd.DataFrame:
                 "T_reference": "[]", "time_solve_s": 1.0, "n_source": 98, "n_target": 98,
                 "certificate_scope": "similarity pose", "verdict": "right", "n_nodes": 100.0,
                 "n_assignments": 1600.0, "objective": 1.0, "gap_tol": 0.1, "gap": 0.05,
-                "lower_bound": 0.95, "upper_bound": 1.0, "objective_best": 1.0,
+                "lower_bound": 0.95, "upper_bound": 1.0, "bound_ratio": 0.95, "objective_best": 1.0,
                 "bound_violation": 0.0, "machine_id": "m", "parallel_jobs": 1.0, "extra": "{}",
             }  # fmt: skip
             draw = 1 + 0.1 * rng.random()
@@ -105,6 +105,7 @@ def history(method: str, *steps: tuple[float, float]) -> pd.DataFrame:
         [
             {
                 "run_id": run,
+                "stage": "search",
                 "time_s": time,
                 "n_assignments": 10 * time,
                 "lower_bound": low,

@@ -22,6 +22,7 @@ from workflows import records
 from workflows.archives import ArchiveError, archived
 from workflows.blocks import NEEDS
 from workflows.integrity import digest, set_aside_damaged
+from workflows.outcomes import STARTED
 from workflows.stages.clouds import CLOUDS
 
 
@@ -358,7 +359,7 @@ def test_archived_runs_are_found_again_with_their_histories(results, archive, mo
     monkeypatch.setenv("DCREG_ARCHIVES", str(archive.parent))
     tables = Tables.load(results / "two" / "tables")
     for name, own in tables.runs.groupby("method"):
-        usable = own[own["outcome"].isin(["finished", "limited"])].drop_duplicates("run_id")
+        usable = own[own["outcome"].isin(STARTED)].drop_duplicates("run_id")
         found = archived(str(name))
         assert {key[0] for key in found} == set(usable["run_id"])
         for row in found.values():

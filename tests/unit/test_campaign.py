@@ -15,13 +15,14 @@ import pytest
 from rich.console import Console
 
 from baselines import registry
+from reports.campaign import campaign as campaigning
 from reports.campaign import choice, forecast, growth, run
 from reports.campaign import comparisons as comparing
+from reports.campaign.campaign import Campaign
 from reports.campaign.choice import Option, options
 from reports.campaign.comparisons import comparisons
 from reports.campaign.forecast import Forecast, Times, bytes_per_run
 from reports.campaign.growth import changes
-from reports.campaign.run import Campaign
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.finding import Part
@@ -84,15 +85,15 @@ def test_unseen_cells_use_their_test_then_the_method_then_the_limit():
 
 def test_a_method_without_runs_is_expected_by_those_of_other_experiments(tmp_path, monkeypatch):
     campaign = Campaign(NAME, tmp_path)
-    monkeypatch.setattr(run, "runs_of", lambda name: None)
-    monkeypatch.setattr(run, "runs_of_others", lambda name: None)
+    monkeypatch.setattr(campaigning, "runs_of", lambda name: None)
+    monkeypatch.setattr(campaigning, "runs_of_others", lambda name: None)
     limit = campaign.times().limits["rpm_pa"]
     assert campaign.times().of_cell("rpm_pa", "noise", 0.02) == (limit, False)
     other = pd.DataFrame(
         {"experiment": ["mine"], "method": "rpm_pa", "test": "noise", "level": 0.02,
-         "time_solve_s": 2.0, "time_overhead_s": 0.0}
+         "time_solve_s": 2.0, "time_overhead_s": 0.0, "machine_id": "there"}
     )  # fmt: skip
-    monkeypatch.setattr(run, "runs_of_others", lambda name: other)
+    monkeypatch.setattr(campaigning, "runs_of_others", lambda name: other)
     assert campaign.times().of_cell("rpm_pa", "noise", 0.02) == ((2.0 * limit) ** 0.5, False)
 
 
@@ -150,7 +151,8 @@ def test_runs_of_an_interrupted_block_are_measured_and_done(tmp_path, monkeypatc
     planned = list(campaign.plan().runs())
     row = {"run_id": planned[0].run_id, "instance_id": planned[0].instance.instance_id,
            "instance_digest": "", "fingerprint": registry.fingerprint("rpm_pa"),
-           "time_solve_s": 3.0, "time_overhead_s": 1.0, "status": "optimal"}  # fmt: skip
+           "time_solve_s": 3.0, "time_overhead_s": 1.0, "status": "optimal",
+           "machine_id": "here"}  # fmt: skip
     path = tmp_path / "results" / NAME / "runs" / "rpm_pa" / "2d-00-000000.journal.jsonl"
     path.parent.mkdir(parents=True)
     other = {**row, "run_id": "other", "time_solve_s": 100.0}  # with another limit
@@ -170,7 +172,7 @@ def test_ended_runs_are_not_shown_before_their_tables_are_made(tmp_path, monkeyp
     Needs({"noise": {"rpm_pa": 1}}).write(campaign.needs_path)
     runs = pd.DataFrame({"run_id": [each.run_id for each in campaign.plan().runs()]}).assign(
         method="rpm_pa", outcome="finished", fingerprint=registry.fingerprint("rpm_pa"),
-        test="noise", level=0.0, time_solve_s=1.0, time_overhead_s=0.0,
+        test="noise", level=0.0, time_solve_s=1.0, time_overhead_s=0.0, machine_id="here",
     )  # fmt: skip
     monkeypatch.setattr(Campaign, "ended", lambda self: runs)
     assert campaign.is_behind()
@@ -440,7 +442,7 @@ def test_a_campaign_continues_from_the_blocks_and_tables_of_an_archive(tmp_path,
         (tables / "origin").write_text(archive.name)
         return [tables]
 
-    monkeypatch.setattr(run, "restore", restored)
+    monkeypatch.setattr(campaigning, "restore", restored)
     monkeypatch.setenv("DCREG_ARCHIVES", str(archives))
     campaign = Campaign(NAME, tmp_path)
     campaign.adopt()

@@ -101,7 +101,7 @@ def test_race_compares_times_to_the_same_gap(mine, theirs, verdict):
 def _boxes(sign: int) -> pd.DataFrame:
     return pd.DataFrame(
         [
-            {"instance": "i", "place": "p", "draw": d, "width": 1.0, "bound": b, "value": v}
+            {"instance": "i", "trial": d, "place": "p", "width": 1.0, "bound": b, "value": v}
             for d in range(100)
             for b, v in (("dc", 2.0), ("termwise-r1", 2.0 - (sign if sign else d % 10 - 0.5)))
         ]
@@ -112,7 +112,7 @@ def _orders(sign: int) -> pd.DataFrame:
     return pd.DataFrame(
         [
             {
-                "instance": "i", "place": "holding", "draw": draw, "width": width, "bound": "dc",
+                "instance": "i", "trial": draw, "place": "holding", "width": width, "bound": "dc",
                 "minimum": 1.0, "n_assignments": 1,
                 "value": 1.0 - width ** (1.8 + 0.1 * (sign or draw % 4 - 1.5)),
             }

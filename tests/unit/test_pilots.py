@@ -7,11 +7,12 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
+from reports.campaign import campaign as campaigning
 from reports.campaign import run
+from reports.campaign.campaign import Campaign
 from reports.campaign.choice import Option
 from reports.campaign.forecast import Forecast, Times
 from reports.campaign.pilot import begun, pilots, unmeasured
-from reports.campaign.run import Campaign
 from workflows.archives import runs_of
 from workflows.blocks import Needs
 from workflows.config import ConfigError, load
@@ -94,7 +95,9 @@ def test_each_experiment_has_its_own_pilot(costly, tmp_path, monkeypatch):
     """Methods and tests may have the same names."""
     name = f"{NAME}-second"
     settings = EXPERIMENT.model_copy(update={"name": name})
-    monkeypatch.setattr(run, "load", lambda chosen: settings if chosen == name else EXPERIMENT)
+    monkeypatch.setattr(
+        campaigning, "load", lambda chosen: settings if chosen == name else EXPERIMENT
+    )
     begun, turns = [], iter([NAME, name, name])
 
     def ended(campaign, claim, expected, part=None, **_):

@@ -4,14 +4,15 @@ The study compares the bounds of the library (`dcreg.families.registry`) and tho
 that can bound a box of poses (`baselines.contract.BoxBounding`). A new bound of either kind takes part
 without a change here. The study writes to OUT:
 
-- ``boxes.csv``: the bound of every box, and the minimum objective found in it. The boxes of each width
-  are centred on the certified optimum, contain it off their centre, or do not contain it.
+- ``boxes.csv``: the bound of every box, and the minimum objective found in it. Each trial of a case has
+  one box per width, so the boxes of a width are independent. It is centred on the certified optimum,
+  contains it off its centre, or does not contain it.
 - ``losses.csv``: the mean of ``minimum - bound`` over the boxes of one width and place, and its ratio to
   the loss of the published DC bound.
 - ``orders.csv``: the empirical order of convergence, the slope of log loss against log width.
-- ``searches.csv``: gap against nodes and assignments, for each trial of each case. There is one search
-  per bound and combination of bounds of the library, and one per bound of a method that has several.
-  The other tables are about the first trial.
+- ``searches.csv``: gap against nodes and assignments, for the first trials of each case. There is one
+  search per bound and combination of bounds of the library, and one per bound of a method that has
+  several.
 
 Coordinates are normalised: centred, with a target of RMS radius 1. In 3D the parameter is the translation
 and the objective is that of point norms.
@@ -45,12 +46,11 @@ from workflows.disturb import make_instance
 from workflows.studies import N_FITTED, REFERENCE, SHOWING
 
 WIDTHS = np.geomspace(2.0, 0.0002, 13)  # of the whole box, in RMS radii of the target
-# Boxes per width and case that contain the optimum off their centre, and as many that do not contain it.
-# With the centred ones, these are about 120 boxes per width of all cases. To show a share of 0.9 at every
-# width takes 95 at the strictest level.
-N_DRAWS = 10
-# Trials of each case that are searched: with six cases 24 instances; a verdict needs 20.
-TRIALS = 4
+PLACES = ("centred", "holding", "away")  # of boxes, by the trial
+# Trials of each case, with one box per width: 144 instances. To show a share of 0.9 at every width takes
+# 95 at the strictest level; large boxes cannot avoid the optimum.
+TRIALS = 24
+SEARCHED = 4  # trials of each case that are searched: 24 instances; a verdict needs 20
 SEED = 20260326
 COMBINED = ("tight+interval", "dc+interval")  # take part in the searches
 CASES = {  # shape, disturbance, level, points, options of the disturbance
@@ -95,24 +95,24 @@ class Case:
 # --- boxes --------------------------------------------------------------------------------------
 
 
-def placements(theta: np.ndarray, width: float) -> dict[str, list[Box]]:
-    """Return boxes of one width by the place of the optimum `theta`, always from the same draws."""
-    rng = np.random.default_rng(SEED)
-    half, dim = 0.5 * width, theta.size
-    held = [theta + half * rng.uniform(-1.0, 1.0, dim) for _ in range(N_DRAWS)]
-    if dim == 4:  # a quarter turn and a shift
-        elsewhere = np.array([-theta[1], theta[0], theta[2] + 0.4, theta[3] - 0.4])
-    else:
-        elsewhere = theta + np.array([0.6, -0.5, 0.6])
-    away = [elsewhere + rng.uniform(-0.2, 0.2, dim) for _ in range(N_DRAWS)]
-    away = [
-        centre for centre in away if (abs(theta - centre) > half).any()
-    ]  # large boxes may contain it
-    centres = {"centred": [theta], "holding": held, "away": away}
-    return {
-        place: [Box(centre - half, centre + half) for centre in these]
-        for place, these in centres.items()
-    }
+def placement(theta: np.ndarray, width: float, trial: int) -> tuple[str, Box] | None:
+    """Return place and box of a trial; None if the box should avoid the optimum `theta` and cannot.
+
+    The draw does not depend on the width.
+    """
+    place, rng = PLACES[trial % len(PLACES)], np.random.default_rng([SEED, trial])
+    half, centre = 0.5 * width, theta
+    if place == "holding":
+        centre = theta + half * rng.uniform(-1.0, 1.0, theta.size)
+    elif place == "away":
+        if theta.size == 4:  # a quarter turn and a shift
+            centre = np.array([-theta[1], theta[0], theta[2] + 0.4, theta[3] - 0.4])
+        else:
+            centre = theta + np.array([0.6, -0.5, 0.6])
+        centre = centre + rng.uniform(-0.2, 0.2, theta.size)
+        if (abs(theta - centre) <= half).all():
+            return None
+    return place, Box(centre - half, centre + half)
 
 
 def minimum_found(case: Case, box: Box) -> float:
@@ -172,26 +172,27 @@ def lines(case: Case) -> Iterator[Line]:
         yield Line(name, partial(method_bound, method))
 
 
-def boxes_table(name: str, case: Case) -> pd.DataFrame:
-    """Evaluate every bound on every box of one case that contains an admissible pose."""
+def boxes_table(name: str, trial: int, case: Case) -> pd.DataFrame:
+    """Evaluate every bound on the boxes of one trial that contain an admissible pose."""
     compared = list(lines(case))
     rows = []
     for width in map(float, WIDTHS):
-        for place, boxes in placements(case.theta, width).items():
-            for draw, box in enumerate(boxes):
-                minimum = minimum_found(case, box)
-                if not np.isfinite(minimum):
-                    continue
-                for line in compared:
-                    began = time.perf_counter()
-                    value, spent = line.bound(case, box)
-                    rows.append(
-                        {
-                            "instance": name, "place": place, "draw": draw, "width": width,
-                            "bound": line.name, "value": value, "minimum": minimum,
-                            "n_assignments": spent, "time_s": time.perf_counter() - began,
-                        }
-                    )  # fmt: skip
+        if (found := placement(case.theta, width, trial)) is None:
+            continue
+        place, box = found
+        minimum = minimum_found(case, box)
+        if not np.isfinite(minimum):
+            continue
+        for line in compared:
+            began = time.perf_counter()
+            value, spent = line.bound(case, box)
+            rows.append(
+                {
+                    "instance": name, "trial": trial, "place": place, "width": width,
+                    "bound": line.name, "value": value, "minimum": minimum,
+                    "n_assignments": spent, "time_s": time.perf_counter() - began,
+                }
+            )  # fmt: skip
     return pd.DataFrame(rows)
 
 
@@ -269,11 +270,12 @@ def run(out: Path, time_s: float) -> None:
     """Write all tables to `out`."""
     boxes, searches = [], []
     for name in CASES:
-        cases = [Case.of(name, trial) for trial in range(TRIALS)]
-        case = cases[0]
-        boxes.append(boxes_table(name, case))
-        searches += [searches_table(name, trial, own, time_s) for trial, own in enumerate(cases)]
-        typer.echo(f"{name}: optimum {case.minimum:.6g}, {len(boxes[-1])} bounds of boxes")
+        for trial in range(TRIALS):
+            case = Case.of(name, trial)
+            boxes.append(boxes_table(name, trial, case))
+            if trial < SEARCHED:
+                searches.append(searches_table(name, trial, case, time_s))
+        typer.echo(f"{name}: {TRIALS} instances, {SEARCHED} of them searched with every bound")
     table = pd.concat(boxes)
     losses = losses_table(table)
     out.mkdir(parents=True, exist_ok=True)
