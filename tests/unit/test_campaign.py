@@ -97,6 +97,19 @@ def test_a_method_without_runs_is_expected_by_those_of_other_experiments(tmp_pat
     assert campaign.times().of_cell("rpm_pa", "noise", 0.02) == ((2.0 * limit) ** 0.5, False)
 
 
+def test_times_of_this_machine_come_before_those_of_others(tmp_path, monkeypatch):
+    monkeypatch.setattr(campaigning, "machine_card", lambda: {"machine_id": "here"})
+    monkeypatch.setattr(campaigning, "runs_of_others", lambda name: None)
+    runs = pd.DataFrame(
+        {"method": "rpm_pa", "test": "noise", "level": [0.02, 0.02, 0.03], "time_overhead_s": 0.0,
+         "time_solve_s": [9.0, 2.0, 7.0], "machine_id": ["there", "here", "there"]}
+    )  # fmt: skip
+    monkeypatch.setattr(campaigning, "runs_of", lambda name: runs)
+    times = Campaign(NAME, tmp_path).times()
+    assert times.of_cell("rpm_pa", "noise", 0.02) == (2.0, True)
+    assert times.of_cell("rpm_pa", "noise", 0.03) == (7.0, True)
+
+
 def test_runs_of_the_quick_part_at_a_limit_take_the_limit_of_the_experiment():
     runs = pd.DataFrame(
         {"method": ["rpm_pa"] * 2, "outcome": ["limited", "finished"], "time_solve_s": [1.0, 2.0]}
@@ -475,6 +488,8 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
     count = len(list(campaign.plan().runs()))
     assert views[0].summary([]).startswith(f"0 of {count} runs ended")
     assert views[0].console is console
+    log = pd.read_csv(tmp_path / run.LOG)  # of the interrupted block
+    assert log[["claim", "runs", "ended"]].to_numpy().tolist() == [["claim", 1, 0]]
 
 
 def test_nothing_is_begun_once_the_time_is_over(tmp_path, monkeypatch):

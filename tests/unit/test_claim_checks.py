@@ -37,6 +37,7 @@ from reports.__main__ import app
 from reports.ledger.evidence import Evidence
 from reports.ledger.finding import CHECKS, Source, limits, select
 from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED
+from reports.tables import thinned
 from workflows.outcomes import comparable_times, is_timed
 
 # --- every kind of check ---------------------------------------------------------------------------
@@ -281,6 +282,41 @@ def test_times_with_other_numbers_of_parallel_jobs_are_not_compared():
     other_test = pd.concat([runs_of("paper"), crowded.assign(test="deformation")])
     assert is_timed(other_test).all()
     assert is_timed(runs.assign(parallel_jobs=np.nan)).all()
+
+
+def test_times_are_compared_only_where_equally_many_jobs_ran():
+    paper, rival = runs_of("paper", time_solve_s=2.0), runs_of("rival")
+    rival["parallel_jobs"] = np.where(rival["trial"] < 20, 1.0, 2.0)
+    time = {**TIME, "by": ["test"]}
+    assert figures(time, paper, rival) == [(pytest.approx(2.0), 60)]
+    rival.loc[rival["trial"] < 10, "parallel_jobs"] = np.nan
+    assert figures(time, paper, rival) == [(pytest.approx(2.0), 30)]
+    unknown = {"parallel_jobs": np.nan}
+    assert figures(time, paper.assign(**unknown), rival.assign(**unknown))[0][1] == 90
+    ratio = {**RATIO, "by": ["test"]}
+    assert figures(ratio, paper, rival)[0][1] == 90  # errors do not depend on other jobs
+
+
+def test_the_open_gap_of_an_exact_fit_is_0_and_that_of_a_run_without_bounds_is_1():
+    paper = runs_of("paper")
+    exact, lost = paper["trial"] == 0, paper["trial"] == 1
+    paper.loc[exact, ["lower_bound", "upper_bound", "gap", "bound_ratio"]] = 0.0, 1e-31, 1e-31, 1.0
+    paper.loc[lost, ["lower_bound", "upper_bound", "gap", "bound_ratio"]] = np.nan
+    without = runs_of("pa", lower_bound=np.nan, upper_bound=np.nan, gap=np.nan, bound_ratio=np.nan)
+    runs = evidence(paper, without).experiments["paper2d"].runs
+    gaps = runs.loc[runs["method"] == "paper", "open_gap"].to_numpy()
+    assert gaps[exact] == pytest.approx(0.0)
+    assert gaps[lost] == pytest.approx(1.0)
+    assert gaps[~(exact | lost)] == pytest.approx(0.05)
+    assert runs.loc[runs["method"] == "pa", "open_gap"].isna().all()
+
+
+def test_a_race_does_not_depend_on_whether_a_history_was_archived():
+    steps = [(float(at), at / 1000) for at in range(1001)]
+    rival = history("rival", (0.0, 0.0), (400.0, 0.3337))
+    whole, both = history("paper", *steps), (runs_of("paper"), runs_of("rival"))
+    found = figures(RACE, *both, traces=pd.concat([whole, rival]))
+    assert found == figures(RACE, *both, traces=pd.concat([thinned(whole), rival]))
 
 
 def test_a_cost_that_doubles_is_as_sensitive_as_one_that_halves():

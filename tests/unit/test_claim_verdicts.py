@@ -330,6 +330,17 @@ def test_methods_that_differ_by_a_choice_of_ours_must_agree(fits, poses, verdict
     assert judged(evidence(*tables), of_rivals, choices=True).verdict == verdict
 
 
+def test_variants_of_the_first_method_must_agree_as_well():
+    """Also against a rival, as in `frs-crosses`."""
+    check = {**RATIO, "subject": "rpm_htb", "rivals": ["dcreg_paper"]}
+    paper, good = runs_of("paper"), runs_of("rival", rmse=error(0.02))
+    for poses, verdict in [(0.02, REPRODUCED), (0.1, OPEN)]:
+        found = judged(
+            evidence(paper, good, runs_of("pose", rmse=error(poses))), check, choices=True
+        )
+        assert found.verdict == verdict
+
+
 def test_one_of_several_choices_decides_nothing():
     found = judged(evidence(runs_of("paper"), runs_of("rival", rmse=0.01)), RATIO, choices=True)
     assert found.verdict == OPEN

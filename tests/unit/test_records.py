@@ -23,7 +23,7 @@ from workflows.instances import (
     write_truths,
 )
 from workflows.integrity import SUMS, sealed
-from workflows.outcomes import OUTCOMES
+from workflows.outcomes import OUTCOMES, stated
 from workflows.stages.aggregate import accounting
 from workflows.stages.solve import forget, solve
 
@@ -200,3 +200,19 @@ def test_forget_drops_only_runs_by_status_and_truncated_lines(tmp_path):
     assert forget(tmp_path, {"failed"}) == 2
     assert (folder / "x.journal.jsonl").read_text() == lines[1] + "\n"
     assert sorted(p.name for p in folder.glob("*.parquet")) == ["y.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("status", "ratio", "expected"),
+    [
+        ("optimal", 0.0, "converged"),
+        ("optimal", -3.0, "converged"),
+        ("optimal", 1e-9, "optimal"),
+        ("optimal", 1.0, "optimal"),
+        ("optimal", None, "optimal"),
+        ("optimal", float("nan"), "optimal"),
+        ("time_limit", 0.0, "time_limit"),
+    ],
+)
+def test_an_optimum_without_a_lower_bound_above_0_counts_as_converged(status, ratio, expected):
+    assert stated(status, ratio) == expected

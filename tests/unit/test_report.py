@@ -490,6 +490,20 @@ def test_equal_methods_are_rarely_significantly_worse_than_the_best(tables, rng)
     assert wrong <= 7
 
 
+def test_methods_on_different_instances_are_not_compared_over_all_tests(tables):
+    (whole,) = standing.matrices(tables)[:1]
+    assert whole.columns[0] == standing.ALL
+    runs = tables.runs.copy()
+    runs.loc[runs.index[0], "outcome"] = "not_needed"
+    chosen = dataclasses.replace(tables, runs=runs)
+    (matrix,) = standing.matrices(chosen)[:1]
+    assert matrix.columns == whole.columns[1:]
+    styles = theme.method_styles(tables)
+    for each, has_ratio in ((tables, True), (chosen, False)):
+        panels = json.dumps(profile.build(each, styles, matrix.model).payload)
+        assert ("multiple of the fastest method" in panels) == has_ratio
+
+
 def test_the_first_sentence_says_what_was_run(tables):
     said = (
         "5 of 6 methods were attempted on 63 instances of demo, 3 tests in 2D and 3D: 270 of 378 "
