@@ -500,7 +500,7 @@ def test_methods_on_different_instances_are_not_compared_over_all_tests(tables):
     assert matrix.columns == whole.columns[1:]
     styles = theme.method_styles(tables)
     for each, has_ratio in ((tables, True), (chosen, False)):
-        panels = json.dumps(profile.build(each, styles, matrix.model).payload)
+        panels = str(profile.build(each, styles, matrix.model).payload)
         assert ("multiple of the fastest method" in panels) == has_ratio
 
 
