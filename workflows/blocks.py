@@ -17,6 +17,7 @@ from dcreg.files import whole_file
 from workflows.compose import ConfigError
 
 EVIDENCE = "evidence"  # folder of the tables of blocks, in that of their experiment
+FORECASTS = "forecast.csv"  # in results/evidence: forecast and actual time of each block
 NEEDS = "needs.json"  # file of `Needs` in it
 REST = "*"  # all levels that are not named
 

@@ -21,6 +21,7 @@ FORMATS = {
     ".cff": "application/yaml",
     ".md": "text/markdown",
     ".py": "text/x-python",
+    ".csv": "text/csv",
 }
 MEANINGS = {
     "archive.json": "Version, schema, lock file and experiments of this archive",
@@ -33,6 +34,11 @@ MEANINGS = {
     "config.yaml": "Config that repeats an experiment",
     "REPEAT.md": "How to repeat and cite the experiments",
     "CITATION.cff": "How to cite the benchmark",
+    "forecast.csv": "Forecast and actual CPU time of each block of evidence",
+}
+ENDINGS = {
+    ".times.csv": "Measured times of a method per test and level",
+    ".verdicts.csv": "Verdicts of the claims after 1, 2, 4, ... hours of CPU time",
 }
 
 
@@ -66,6 +72,9 @@ def _described(folder: Path) -> list[str]:
 def _meaning(name: str) -> str:
     if meaning := MEANINGS.get(PurePosixPath(name).name):
         return meaning
+    for ending, meaning in ENDINGS.items():
+        if name.endswith(ending):
+            return meaning
     is_code = {"baselines", "data", "packages"} & set(PurePosixPath(name).parts)
     return "Code or card of a method or dataset" if is_code else "Table of the study of bounds"
 

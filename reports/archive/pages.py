@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -13,6 +14,7 @@ from reports.archive import clouds, read
 from reports.build import build as build_report
 from reports.history import page as history_page
 from workflows.archives import RUNS
+from workflows.blocks import EVIDENCE, FORECASTS
 from workflows.outcomes import OUTCOMES
 
 
@@ -53,7 +55,19 @@ def _index(folder: Path, out: Path) -> Path:
             facts=facts,
             counts={name: found[name] for name in OUTCOMES if name in found},
             clouds=clouds.sentences(facts),
+            forecasts=_forecasts(out / EVIDENCE / FORECASTS),
         ),
         encoding="utf-8",
     )
     return page
+
+
+def _forecasts(path: Path) -> list[dict[str, Any]]:
+    """Return hours of CPU time per experiment, forecast and actual, of whole blocks of evidence."""
+    if not path.is_file():
+        return []
+    blocks = pd.read_csv(path)
+    blocks = blocks[~(blocks["runs"] < blocks["planned"])] if "planned" in blocks else blocks
+    hours = blocks.groupby("experiment")[["forecast_s", "actual_s"]].sum() / 3600
+    sums = hours.assign(blocks=blocks.groupby("experiment").size()).reset_index()
+    return [{str(name): value for name, value in row.items()} for row in sums.to_dict("records")]

@@ -25,7 +25,7 @@ from workflows.archives import (
     is_inside,
     readable,
 )  # fmt: skip
-from workflows.blocks import NEEDS
+from workflows.blocks import EVIDENCE, NEEDS
 from workflows.integrity import digest, sealed_file
 from workflows.outcomes import stated
 from workflows.stages.aggregate import accounting
@@ -101,6 +101,9 @@ def restore(folder: Path, out: Path, only: str = "") -> list[Path]:
         for path in sorted(folder.glob("bounds/*.parquet")):
             (out / "bounds").mkdir(parents=True, exist_ok=True)
             pd.read_parquet(path).to_csv(out / "bounds" / f"{path.stem}.csv", index=False)
+        for path in sorted(folder.glob(f"{EVIDENCE}/*.csv")):
+            (out / EVIDENCE).mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, out / EVIDENCE / path.name)
         return places
 
 

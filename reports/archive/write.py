@@ -100,6 +100,9 @@ def _write(roots: Sequence[Path], out: Path, version: str) -> Path:
     for place in folders:
         if place.name == STUDY:
             _write_study(place, part / STUDY)
+    for path in next(filter(None, (sorted(root.glob(f"{EVIDENCE}/*.csv")) for root in roots)), ()):
+        (part / EVIDENCE).mkdir(exist_ok=True)
+        shutil.copyfile(path, part / EVIDENCE / path.name)
     added = {
         each.experiment: write_sources(each, part / "experiments" / each.experiment)
         for each in tables

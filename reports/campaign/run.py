@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import csv
 import functools
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
+import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
+from dcreg.files import whole_file
 from reports.campaign.campaign import Campaign
 from reports.campaign.choice import Option, options
 from reports.campaign.forecast import Forecast, Pair, seconds_of
 from reports.campaign.growth import changes, verdicts
 from reports.campaign.pilot import begun, pilots, store, unmeasured
 from reports.ledger.book import Ledger, ledger
+from workflows.blocks import FORECASTS
 from workflows.compose import ConfigError
 from workflows.config import Experiment, Selection, origin
 from workflows.live import View
@@ -24,8 +26,6 @@ from workflows.outcomes import main_machine
 from workflows.provenance import machine_card
 from workflows.running import INTERRUPTED, run_snakemake
 from workflows.stages.plan import Plan, expand
-
-LOG = "forecast.csv"  # of all blocks: forecast and actual time
 
 
 def collect(
@@ -170,12 +170,12 @@ def _run(
     new = ended[~ended["run_id"].isin(before)]
     actual = float(seconds_of(new).sum())
     _append(
-        out / LOG,
+        out / FORECASTS,
         {
-            "experiment": campaign.experiment.name, "claim": title, "runs": expected.runs,
-            "ended": len(new), "unseen": expected.unseen, "forecast_s": round(expected.seconds, 1),
-            "actual_s": round(actual, 1), "wall_s": round(time.monotonic() - began, 1),
-            "forecast_mb": expected.megabytes,
+            "experiment": campaign.experiment.name, "claim": title, "runs": len(new),
+            "planned": expected.runs, "unseen": expected.unseen,
+            "forecast_s": round(expected.seconds, 1), "actual_s": round(actual, 1),
+            "wall_s": round(time.monotonic() - began, 1), "forecast_mb": expected.megabytes,
         },
     )  # fmt: skip
     console.print(f"          took {actual / 60:.0f} min of CPU")
@@ -208,12 +208,9 @@ def _settings(campaign: Campaign, part: Selection | None) -> list[str]:
 
 def _append(path: Path, row: dict[str, object]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    is_new = not path.is_file()
-    with path.open("a", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, list(row))
-        if is_new:
-            writer.writeheader()
-        writer.writerow(row)
+    known = [pd.read_csv(path)] if path.is_file() else []
+    with whole_file(path) as part:
+        pd.concat([*known, pd.DataFrame([row])]).to_csv(part, index=False)
 
 
 def _print(

@@ -20,7 +20,7 @@ from reports.runs import clouds as drawn_clouds
 from reports.tables import STORED_EVENTS, ReportError, Tables, thinned
 from workflows import records
 from workflows.archives import ArchiveError, archived
-from workflows.blocks import NEEDS
+from workflows.blocks import FORECASTS, NEEDS
 from workflows.integrity import digest, set_aside_damaged
 from workflows.outcomes import STARTED
 from workflows.stages.clouds import CLOUDS
@@ -380,3 +380,19 @@ def test_no_run_is_taken_from_a_damaged_archive(archive, tmp_path, monkeypatch):
     monkeypatch.setenv("DCREG_ARCHIVES", str(own.parent))
     with pytest.raises(ArchiveError, match="damaged"):
         archived("dcreg")
+
+
+def test_forecast_and_actual_time_of_evidence_are_archived_and_shown(results, tmp_path):
+    own = _copy(results, tmp_path / "results")
+    (own / "evidence").mkdir()
+    log = pd.DataFrame(
+        {"experiment": "one", "claim": ["a", "b", "c"], "runs": [4, 4, 1], "planned": [None, 4, 4],
+         "forecast_s": [3600.0, 1800.0, 9e9], "actual_s": [1800.0, 900.0, 1.0]}
+    )  # fmt: skip
+    log.to_csv(own / "evidence" / FORECASTS, index=False)
+    archive = writing.write([own], tmp_path / "archive", "1")
+    crate.check(archive)
+    read.restore(archive, tmp_path / "out")
+    assert pages._forecasts(tmp_path / "out" / "evidence" / FORECASTS) == [
+        {"experiment": "one", "forecast_s": 1.5, "actual_s": 0.75, "blocks": 2}
+    ]

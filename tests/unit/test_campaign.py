@@ -30,7 +30,7 @@ from reports.ledger.intervals import NOT_RUN, OPEN, REPRODUCED, Share
 from reports.ledger.judging import judge
 from reports.ledger.verdicts import FEW, WIDE, Decided
 from reports.tables import Tables
-from workflows.blocks import Needs
+from workflows.blocks import FORECASTS, Needs
 from workflows.compose import ConfigError
 from workflows.config import load
 from workflows.integrity import sealed
@@ -488,8 +488,8 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
     count = len(list(campaign.plan().runs()))
     assert views[0].summary([]).startswith(f"0 of {count} runs ended")
     assert views[0].console is console
-    log = pd.read_csv(tmp_path / run.LOG)  # of the interrupted block
-    assert log[["claim", "runs", "ended"]].to_numpy().tolist() == [["claim", 1, 0]]
+    log = pd.read_csv(tmp_path / FORECASTS)  # of the interrupted block
+    assert log[["claim", "planned", "runs"]].to_numpy().tolist() == [["claim", 1, 0]]
 
 
 def test_nothing_is_begun_once_the_time_is_over(tmp_path, monkeypatch):
