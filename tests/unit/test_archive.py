@@ -127,6 +127,20 @@ def test_clouds_that_do_not_fit_are_left_out_and_named(results, archive, tmp_pat
     assert kinds == {drawn_clouds.TRUE, drawn_clouds.NEAREST}  # others are those of the overlays
 
 
+def test_an_archived_optimum_without_a_lower_bound_is_restored_as_converged(results, tmp_path):
+    own = _copy(results, tmp_path / "results")
+    path = own / "one" / "tables" / "runs.parquet"
+    runs = records.read(path, records.runs_columns())
+    at = runs.index[runs["status"] == "optimal"][0]
+    runs.loc[at, "bound_ratio"] = 0.0
+    records.write(runs, path)
+    archive = writing.write([own], tmp_path / "archive", "1")
+    (place,) = read.restore(archive, tmp_path / "out", only="one")
+    restored = Tables.load(place).runs.set_index("run_id")["status"]
+    assert restored[runs.loc[at, "run_id"]] == "converged"
+    assert (restored == "optimal").sum() == (runs["status"] == "optimal").sum() - 1
+
+
 def test_the_committed_archive_has_no_clouds_and_says_so(tmp_path):
     folder = read.folder_of("0.2.0", tmp_path)  # whose checksums hold
     crate.check(folder)

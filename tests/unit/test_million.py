@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from workflows import records
 from workflows.config import load
 from workflows.outcomes import OUTCOMES
 from workflows.stages import aggregate as stage
-from workflows.stages.aggregate import aggregate
+from workflows.stages.aggregate import aggregate, join_runs
 from workflows.stages.plan import Plan, expand
 from workflows.studies import synthetic
 
@@ -67,6 +68,21 @@ def test_joined_tables_equal_those_of_pandas(plan, folder):
     stored = pd.read_csv(folder / "tables" / "runs.csv", keep_default_na=False, na_values={})
     assert list(stored) == list(records.runs_columns())
     assert (stored["T_target_source"] == runs["T_target_source"]).all()
+
+
+def test_optima_of_earlier_files_without_a_lower_bound_count_as_converged(plan, folder, tmp_path):
+    copied = shutil.copytree(folder, tmp_path / "results")
+    method, chunk = next(each for each in plan.jobs() if each[0].baseline == "dcreg_paper")
+    path = copied / "runs" / method.name / f"{chunk.name}.parquet"
+    raw = records.read(path, records.RAW)
+    optimal = raw.index[raw["status"] == "optimal"]
+    assert len(optimal) > 1
+    raw.loc[optimal[0], ["lower_bound", "bound_ratio"]] = 0.0
+    records.write(raw, path)
+    found = join_runs(plan, copied).collect().to_pandas().set_index("run_id")
+    of_raw = found.loc[raw.loc[optimal, "run_id"]]
+    assert list(of_raw["status"]) == ["converged"] + ["optimal"] * (len(optimal) - 1)
+    assert set(of_raw["outcome"]) == {"finished"}
 
 
 @pytest.mark.parametrize("column", ["rmse", "scale_error", "time_solve_s"])

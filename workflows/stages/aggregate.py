@@ -79,6 +79,10 @@ def join_runs(plan: Plan, folder: Path) -> pl.LazyFrame:
     planned = records.scan([folder / plan.view / "plan" / "plan.parquet"], list(records.PLAN))
     raw = records.scan(_files(plan, folder), list(records.RAW)).drop("instance_id")
     metrics = records.scan([folder / plan.view / "metrics" / "metrics.parquet"])
+    # files of earlier versions: `outcomes.stated`
+    is_vacuous = (pl.col("status") == Status.OPTIMAL.value) & (pl.col("bound_ratio") <= 0.0)
+    stated = pl.when(is_vacuous).then(pl.lit(Status.CONVERGED.value)).otherwise(pl.col("status"))
+    raw = raw.with_columns(status=stated)
     runs = _joined(_joined(planned, raw), metrics.drop("instance_id", "n_inliers"))
     if plan.needs is not None:
         runs = pl.concat([runs, _left_out(plan, runs)], how="diagonal_relaxed")
