@@ -21,7 +21,8 @@ class Cell:
     `standing` is `BEST` for the highest success rate of the methods that attempted the most instances,
     `TIED` for others that are not significantly worse, `FEW` if there are too few instances for any
     difference to be significant, `WORSE` for all others. It is empty for methods that receive the true
-    pairs or attempted fewer than half of the instances, and where no two methods are compared.
+    pairs or attempted fewer than half of the instances, and where no two methods are compared, as if each
+    ran only on the trials that claims needed.
     """
 
     right: int
@@ -61,14 +62,17 @@ class Matrix:
 
 def matrices(tables: Tables) -> list[Matrix]:
     """Return a matrix for each model with attempted runs."""
-    runs = attempted(tables.runs[["model", "test", "method", "outcome", "success", "instance_id"]])
+    columns = ["model", "test", "method", "outcome", "success", "instance_id", "instance_digest"]
+    runs = attempted(tables.runs[columns])
     runs = runs.assign(success=is_right(runs))
     return [_matrix(tables, str(model), part) for model, part in runs.groupby("model", sort=False)]
 
 
 def _matrix(tables: Tables, model: str, runs: pd.DataFrame) -> Matrix:
     tests = list(dict.fromkeys(runs["test"]))
-    parts = {ALL: runs} if len(tests) > 1 else {}
+    # two lists of scans can have the same pair
+    once = runs[~runs.duplicated(["method", "instance_digest"])]
+    parts = {ALL: once} if len(tests) > 1 else {}
     parts |= {test: runs[runs["test"] == test] for test in tests}
     columns = {name: _column(tables, part) for name, part in parts.items()}
     first = next(iter(columns.values()))
@@ -101,7 +105,8 @@ def _column(tables: Tables, runs: pd.DataFrame) -> dict[str, Cell]:
         if name in right and not tables.is_oracle(name) and 2 * counts[name] >= len(right)
     ]
     standing = dict.fromkeys(right, "")
-    if len(rivals) > 1:
+    # if runs were added until claims were decided, a test for a fixed number of runs is not valid
+    if len(rivals) > 1 and not tables.is_of_blocks:
         most = counts[rivals].max()
         shares = {name: right[name].mean() for name in rivals if counts[name] == most}
         best = max(shares, key=lambda name: shares[name])

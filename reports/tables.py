@@ -293,6 +293,12 @@ def _moved(bounds: np.ndarray) -> np.ndarray:
     return moved
 
 
+def is_refuted(runs: pd.DataFrame) -> pd.Series:
+    """Tell of each run whether its lower bound exceeds a known objective: its certificate is wrong."""
+    best = runs["objective_best"] * (1 + 1e-9) + 1e-12
+    return (runs["bound_violation"] > 0) | (runs["lower_bound"] > best)
+
+
 def started_in(place: Path) -> int:
     """Return the number of started runs in the tables of a folder of results; -1 without tables."""
     path = place / "tables" / "accounting.csv"

@@ -168,9 +168,9 @@ def judge_records(name: str, base: Record, head: Record) -> list[Verdict]:
     def allowed_for(verdict: Verdict) -> Verdict:
         """Return the verdict, or ``unclear`` if the machine explains it."""
         for other in same if verdict in timed else ():
-            if _card(head, other.method).get("baseline") != _card(head, verdict.method).get(
+            if other.verdict == verdict.verdict and _card(head, other.method).get(
                 "baseline"
-            ):
+            ) != _card(head, verdict.method).get("baseline"):
                 why = f"{other.method}, which did not change, is {other.verdict} too"
                 return replace(verdict, verdict="unclear", detail=joined(verdict.detail, why))
         return verdict

@@ -12,13 +12,13 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from workflows.integrals import KINDS
 from workflows.metrics import METRICS
 from workflows.outcomes import TIMED, outcome
 from workflows.significance import sign_test
-from workflows.timing import COUNTERS, judge_once
+from workflows.timing import COUNTERS, judge_once, word_of_work
 
 QUALITY = ("rmse", "objective")
+JUDGED = "gap"  # integral; the others depend on the best objective of all methods of a record
 SAME = 1e-6  # relative difference up to which two floating-point results are equal
 
 
@@ -82,11 +82,10 @@ def of_steady_runs(pairs: pd.DataFrame) -> Iterator[tuple[str, str, Judged]]:
             continue
         found = noted(_quality(steady, metric, METRICS[metric].worst))
         yield f"median {metric}", METRICS[metric].unit, found
-    for kind in KINDS:
-        name = f"{kind}_integral_boxes"
-        if found := _of_stated(steady, name, partial(_quality, name=name, worst=np.nan)):
-            yield f"median {kind} integral", "boxes", noted(found)
-    for metric in ("time_solve_s", *(f"{kind}_integral_s" for kind in KINDS)):
+    name = f"{JUDGED}_integral_boxes"
+    if found := _of_stated(steady, name, partial(_quality, name=name, worst=np.nan)):
+        yield f"median {JUDGED} integral", "boxes", noted(found)
+    for metric in ("time_solve_s", f"{JUDGED}_integral_s"):
         if (steady[f"{metric}_base"] > 0).any():
             yield metric, "s, geometric mean", _times(steady, metric)
 
@@ -195,11 +194,8 @@ def _counter(pairs: pd.DataFrame, name: str) -> Judged:
     differing = int((old != new).sum())
     if not differing:
         return Judged(old.sum(), new.sum(), "same")
-    change = new.sum() - old.sum()
     more, fewer = int((new > old).sum()), int((new < old).sum())
-    word = "changed" if change == 0 and more == fewer else "better"
-    if change > 0 or more > fewer:
-        word = "worse"
+    word = word_of_work(old, new)
     why = f"{differing} of {len(pairs)} runs differ: {more} with more work, {fewer} with less"
     if (pairs["machine_id_base"] != pairs["machine_id_head"]).any():
         word, why = "changed", f"{why}; from two machines, whose rounding can differ"

@@ -81,5 +81,5 @@ def is_timed(runs: pd.DataFrame) -> pd.Series:
 
 
 def comparable_times(runs: pd.DataFrame) -> pd.Series:
-    """Return the seconds of the runs that `is_timed` tells; missing for others."""
-    return runs["time_solve_s"].where(is_timed(runs))
+    """Return the seconds of the runs that `is_timed` tells; missing for others and for failed ones."""
+    return runs["time_solve_s"].where(is_timed(runs) & (runs["outcome"] != "failed"))

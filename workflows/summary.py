@@ -36,8 +36,7 @@ def summarise(runs: pd.DataFrame) -> pd.DataFrame:
     A run without a pose counts with the worst RMSE and as no success, so that a method gains nothing by
     failing. Times are those of one machine; failed runs have none.
     """
-    times = comparable_times(runs).where(runs["outcome"] != "failed")
-    tried = attempted(runs[SUMMARISED].assign(time_solve_s=times))
+    tried = attempted(runs[SUMMARISED].assign(time_solve_s=comparable_times(runs)))
     tried = tried.assign(
         rmse=tried["rmse"].fillna(METRICS["rmse"].worst),
         bounding=tried["gap"].notna(),

@@ -141,6 +141,14 @@ class Work:
     detail: str
 
 
+def word_of_work(old: pd.Series, new: pd.Series) -> str:
+    """Return the verdict on work that differs: worse if the sum rises, or more problems take more."""
+    change, more, fewer = new.sum() - old.sum(), (new > old).sum(), (new < old).sum()
+    if change > 0 or more > fewer:
+        return "worse"
+    return "changed" if change == 0 and more == fewer else "better"
+
+
 def judge_work(times: pd.DataFrame, counters: Sequence[str] = COUNTERS) -> Iterator[Work]:
     """Yield a verdict for each counter; the work of a solve must repeat exactly.
 
@@ -151,8 +159,8 @@ def judge_work(times: pd.DataFrame, counters: Sequence[str] = COUNTERS) -> Itera
     by_problem = times.groupby("problem", sort=False)
     for counter in counters:
         old, new = first[f"{counter}_base"], first[f"{counter}_head"]
-        change, differing = int(new.sum() - old.sum()), int((old != new).sum())
-        word = "worse" if change > 0 else "better" if change < 0 else "changed"
+        differing = int((old != new).sum())
+        word = word_of_work(old, new)
         why = f"{differing} problems differ" if differing else ""
         for side, verdict in (("base", "changed"), ("head", "worse")):
             if unsteady := int((by_problem[f"{counter}_{side}"].nunique() > 1).sum()):

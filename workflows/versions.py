@@ -88,6 +88,11 @@ def are_equal(one: dict[str, Any], other: dict[str, Any]) -> bool:
     return one == other or any(GROUPS[Status(each["status"])].is_timed for each in (one, other))
 
 
+def _repeats(found: dict[str, Any], stored: dict[str, Any]) -> bool:
+    """Tell whether a result repeats a stored one, unless the clock ended that one."""
+    return found == stored or GROUPS[Status(stored["status"])].is_timed
+
+
 def comparable(answer: dict[str, Any]) -> dict[str, Any]:
     """Return what repeats exactly, rounded: status, counters, bounds and pose."""
     pose = answer.get("T_target_source")
@@ -139,7 +144,7 @@ def _checked(
     results = results_of(name)
     if results is None or known["results"] is None:
         return (Check(name, REVIEWED), extended) if reviewed else (Check(name, UNKNOWN), known)
-    if all(map(are_equal, results, known["results"])):
+    if all(map(_repeats, results, known["results"])):
         return Check(name, SAME), extended
     return Check(name, CHANGED), known
 

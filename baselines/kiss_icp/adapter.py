@@ -14,7 +14,7 @@ from dcreg.search import Budget
 
 
 class Adapter(Baseline):
-    """The target is the map. Motion model and deskewing need a sequence; clouds are not downsampled."""
+    """The target is the map. Motion model and deskewing need a sequence."""
 
     def __init__(self, card: Card, **options: Any) -> None:
         super().__init__(card, **options)
@@ -31,7 +31,7 @@ class Adapter(Baseline):
         distance = self.options["max_distance"] * unit
         voxel_map = VoxelHashMap(
             # Neighbours are searched in adjacent voxels only, so a voxel is as large as the distance.
-            # Every point is kept.
+            # The map leaves out points that are much closer to each other than a voxel.
             voxel_size=distance,
             max_distance=1e6 * unit,
             max_points_per_voxel=len(instance.target),

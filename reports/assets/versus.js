@@ -56,7 +56,7 @@ function scatter({ both, labels, runs: [a, b] }, name, axis) {
 }
 
 const symbolOf = (method) => $(`[data-toggle-method="${CSS.escape(method)}"]`).dataset.symbol;
-const percentOf = (p) => (p < 1e-4 ? "< 0.0001" : String(Number(p.toPrecision(2))));
+const percentOf = (p) => (p === null ? "–" : p < 1e-4 ? "< 0.0001" : String(Number(p.toPrecision(2))));
 const cellOf = (tag, content, className = "") => make(tag, content, { className });
 
 function countTable({ both, places: [a, b] }) {
@@ -85,7 +85,8 @@ function answer({ both, labels, places: [a, b], runs }) {
   else if (total) {
     const [first, second, more, fewer] = won >= lost ? [one, other, won, lost] : [other, one, lost, won];
     const much = p < 0.05 ? "a significant difference" : "no significant difference";
-    text = `On ${total} instances, only ${first} is right on ${more} and only ${second} on ${fewer}: ${much} (p ${p < 1e-4 ? "" : "= "}${percentOf(p)}).`;
+    const tested = p === null ? "" : `: ${much} (p ${p < 1e-4 ? "" : "= "}${percentOf(p)})`;
+    text = `On ${total} instances, only ${first} is right on ${more} and only ${second} on ${fewer}${tested}.`;
   }
   $("#versus-answer").textContent = text;
 }

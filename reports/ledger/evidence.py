@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from dcreg.names import POSE_SCOPES
-from reports.tables import Tables, check_study, started_in
+from reports.tables import Tables, check_study, is_refuted, started_in
 from workflows.blocks import EVIDENCE
 from workflows.compose import QUICK
 from workflows.outcomes import attempted, main_machine
@@ -99,9 +99,6 @@ class Experiment:
         runs = attempted(self.tables.runs.drop(columns=UNUSED, errors="ignore"))
         scale = runs["T_reference"].map({t: _scale(t) for t in runs["T_reference"].unique()})
         source = runs["shape"].map(_scan_sources(runs["shape"]))
-        violated = (runs["bound_violation"] > 0) | (
-            runs["lower_bound"] > runs["objective_best"] * (1 + 1e-9) + 1e-12
-        )
         of_pose = runs["certificate_scope"].isin(POSE_SCOPES)
         here = runs["machine_id"] == self.machine_id
         return runs.assign(
@@ -115,7 +112,7 @@ class Experiment:
             search_error=runs["verdict"].eq("search_error").astype(float),
             certified=runs["status"].eq("optimal") & of_pose,
             open_gap=_open_gap(runs),
-            violation=(violated & of_pose).astype(float),
+            violation=(is_refuted(runs) & of_pose).astype(float),
             limited=runs["outcome"].eq("limited"),
             **_translation(runs, self.tables.cards, here),
             source=source.where(source != "", runs["dataset"]),

@@ -12,7 +12,7 @@ from reports.ledger.judging import count, judge, ledger
 from reports.page import Page
 from reports.pairs import pair_rows
 from reports.standing import BEST, FEW, TIED, WORSE, Matrix, matrices
-from reports.tables import PENALTY, Tables, counted_time, is_right, share_interval
+from reports.tables import PENALTY, Tables, counted_time, is_refuted, is_right, share_interval
 from reports.theme import Style, integer, listed, share, words
 from workflows.compose import QUICK
 from workflows.metrics.errors import SUCCESS_SHARE
@@ -71,9 +71,7 @@ def context(page: Page) -> dict[str, Any]:
         "is_quick": tables.experiment.endswith(QUICK),
         "any_oracle": any(tables.is_oracle(method) for method in tables.methods),
         "penalty": PENALTY,
-        "wrong_certificates": list(
-            tables.runs.loc[tables.runs["bound_violation"].fillna(0) > 0, "run_id"]
-        ),
+        "wrong_certificates": list(tables.runs.loc[is_refuted(tables.runs), "run_id"]),
     }
 
 
@@ -212,11 +210,10 @@ def _named(names: np.ndarray, dataset: str) -> str:
 
 
 def _limit(tables: Tables) -> str:
-    """Return the limits in words; a method with a limit on work meets its time limit only by accident."""
+    """Return the limits in words."""
     limits = [card.get("limits", {}) for card in tables.cards.values()]
     by_work = [each for each in limits if each.get("nodes") or each.get("assignments")]
-    by_time = [each for each in limits if each not in by_work]
-    known = sorted({each["time_s"] for each in by_time or by_work if each.get("time_s")})
+    known = sorted({each["time_s"] for each in limits if each.get("time_s")})
     texts = [_range(known, " s per run")] if known else []
     for key, unit in (("assignments", "assignments"), ("nodes", "boxes")):
         counts = [each[key] for each in by_work if each.get(key)]

@@ -83,7 +83,7 @@ def _run(method, model, dataset, shape, test, level, trial):
     left = tol * (0.9 if status == "optimal" else 6.0)
     number = float if posed else lambda _: float("nan")
     run = {
-        "schema_version": records.SCHEMA_VERSION, "chunk_id": "c0", "instance_digest": "0",
+        "schema_version": records.SCHEMA_VERSION, "chunk_id": "c0", "instance_digest": instance,
         "run_id": f"{zlib.crc32(f'{instance}{method}'.encode()):08x}",
         "experiment": "made-up", "method": method, "baseline": method.split("-")[0],
         "display_name": CARDS[method][0], "provenance": CARDS[method][1], "options": "{}",

@@ -418,7 +418,7 @@ def test_methods_are_compared_with_the_best_on_common_instances(tables):
         """Return the cells of methods with one run for each character: 1 right, 0 wrong, - none."""
         runs = pd.DataFrame(
             {
-                "instance_id": i, "model": "rigid3d", "test": "noise",
+                "instance_id": i, "instance_digest": i, "model": "rigid3d", "test": "noise",
                 "method": method, "outcome": "finished", "success": run == "1",
             }
             for method, pattern in zip(CARDS, patterns, strict=False)
@@ -481,7 +481,8 @@ def test_equal_methods_are_rarely_significantly_worse_than_the_best(tables, rng)
         runs = pd.DataFrame(
             {
                 "instance_id": np.tile(np.arange(n_runs), len(names)), "model": "rigid3d",
-                "test": "noise", "method": np.repeat(names, n_runs), "outcome": "finished",
+                "instance_digest": np.tile(np.arange(n_runs), len(names)), "test": "noise",
+                "method": np.repeat(names, n_runs), "outcome": "finished",
                 "success": rng.random(n_runs * len(names)) < 0.5,
             }
         )  # fmt: skip

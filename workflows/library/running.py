@@ -23,7 +23,7 @@ from dcreg.status import Status
 from workflows.config import LimitSettings, MethodSettings
 from workflows.stages.generate import noise_bound
 from workflows.stages.sandbox import Sandbox
-from workflows.stages.worker import CROSSED
+from workflows.stages.worker import CROSSED, LATE
 
 RUNS = Path("results") / "library" / "runs"
 PROFILE_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 60.0)
@@ -130,7 +130,7 @@ def summary(name: str, table: pd.DataFrame, limit_s: float) -> str:
     counts = counts.rename_axis(index=None, columns="status")
     shares = ", ".join(
         # a method that stops at the limit ends a little after it
-        f"{(right['time_s'] <= (at if at < limit_s else np.inf)).sum() / len(table):.0%} in {at:g} s"
+        f"{(right['time_s'] <= at * (LATE if at == limit_s else 1)).sum() / len(table):.0%} in {at:g} s"
         for at in PROFILE_S if at <= limit_s
     )  # fmt: skip
     date = time.strftime("%Y-%m-%d")
