@@ -43,8 +43,6 @@ class Role:
     options: Mapping[str, Sequence[Any]] = field(
         default_factory=dict
     )  # accepted values, best first
-    without: Mapping[str, Sequence[Any]] = field(default_factory=dict)
-    every: bool = False  # all that fit take part; otherwise the best one
     # Options of which the truth is not known: a method per accepted value takes part, and verdicts on
     # which these do not agree stay open.
     choices: Sequence[str] = ()
@@ -54,13 +52,16 @@ class Role:
         """Return the number of methods that must agree."""
         return math.prod(len(self.options[name]) for name in self.choices)
 
+    def chosen(self, ranks: tuple[int, ...]) -> tuple[int, ...]:
+        """Return those of the `ranks` of a run that belong to `choices`."""
+        rank_of = dict(zip(self.options, ranks[1:], strict=True))
+        return tuple(rank_of[name] for name in self.choices)
+
     def fit(
         self, baseline: str, options: Mapping[str, Any], n_inliers_ratio: float = 1.0
     ) -> tuple[int, ...] | None:
         """Return the ranks of a run's baseline and effective options; None if it does not fit."""
         if baseline not in self.baseline or n_inliers_ratio != self.n_inliers_ratio:
-            return None
-        if any(options.get(key) in values for key, values in self.without.items()):
             return None
         ranks = [self.baseline.index(baseline)]
         for key, values in self.options.items():
@@ -158,8 +159,7 @@ class Experiment:
             for name, card in self.tables.cards.items() if not card.get("unavailable")
         ]  # fmt: skip
         tried, every = self.methods_in(role), methods_in(role, settings)
-        is_whole = len(tried) >= role.n_choices if role.choices else bool(tried) and not role.every
-        return tried if is_whole else list(dict.fromkeys([*tried, *every]))
+        return tried if len(tried) >= role.n_choices else list(dict.fromkeys([*tried, *every]))
 
 
 def methods_in(
@@ -174,13 +174,9 @@ def methods_in(
         for place, (label, baseline, options, ratio) in enumerate(settings)
         if (rank := role.fit(baseline, options, ratio)) is not None
     )
-    if role.every:
-        return [label for _, _, label in ranked]
-    if not role.choices:
-        return [label for _, _, label in ranked[:1]]
     best: dict[tuple[int, ...], str] = {}
     for rank, _, label in ranked:
-        best.setdefault(rank, label)
+        best.setdefault(role.chosen(rank), label)
     return list(best.values())
 
 

@@ -27,7 +27,7 @@ from baselines import registry
 from reports.__main__ import app
 from reports.claims import PAGE
 from reports.ledger.book import LEDGER, Claim, Ledger, ledger, roles_of
-from reports.ledger.evidence import Evidence
+from reports.ledger.evidence import Evidence, methods_in
 from reports.ledger.intervals import MIN_INSTANCES, NOT, NOT_RUN, OPEN, REPRODUCED
 from reports.ledger.judging import NO_VERDICT, count, judge, judge_claim
 from reports.tables import ReportError, Tables
@@ -115,8 +115,19 @@ def test_every_role_is_found_in_the_cards():
     for role in ledger().roles.values():
         for baseline in role.baseline:
             parameters = registry.read_card(baseline).parameters
-            for option in {**role.options, **role.without}:
+            for option in role.options:
                 assert option in parameters, (role.name, baseline, option)
+
+
+def test_of_each_choice_the_official_method_takes_part_before_its_port():
+    fronts = ("fpfh-mutual", "norm-signature", "oracle")
+    settings = [
+        (f"{baseline}-{front}", baseline, {"threshold": "paper", "front_end": front}, 1.0)
+        for baseline in ("teaser", "teaserpp") for front in fronts
+    ]  # fmt: skip
+    role = ledger().roles["teasers"]
+    assert methods_in(role, settings) == ["teaserpp-norm-signature", "teaserpp-fpfh-mutual"]
+    assert len(methods_in(role, settings[:3])) == role.n_choices == 2
 
 
 @pytest.mark.parametrize("experiment", ["paper2d", "paper2d_images", "paper3d", "threedmatch"])
