@@ -234,7 +234,7 @@ def test_both_recalls_are_the_published_ones(tmp_path):
     rows = [dict(zip(("shape", "test", "level", "trial"), key, strict=True)) for key in keys]
     runs = pd.DataFrame(rows).assign(
         method="m", display_name="M", rmse=0.1, rotation_error_deg=1.0, translation_error=0.1,
-        status="optimal", outcome="finished", time_solve_s=1.0,
+        status="optimal", outcome="finished", time_solve_s=1.0, machine_id="m", parallel_jobs=1.0,
     )  # fmt: skip
     apart = [abs(int(pairs[k]["ref_i"]) - int(pairs[k]["src_j"])) > 1 for k in keys]
     assert 0 < sum(apart) < len(keys)
@@ -250,6 +250,11 @@ def test_both_recalls_are_the_published_ones(tmp_path):
     runs = with_pairs(planned, dataset("threedmatch"))
     (row,) = recalls(runs).to_dict("records")
     assert row["recall_pairs_pct"] == pytest.approx(100 * 37 / 40)
+    other = planned.assign(time_solve_s=9.0, machine_id="another").head(10)
+    (mixed,) = recalls(with_pairs(pd.concat([planned, other]), dataset("threedmatch"))).to_dict(
+        "records"
+    )
+    assert mixed["time_max_s"] == 1.0  # times are those of one machine
     good = [ok and i not in (1, 2) for i, ok in enumerate(apart)]
     shares = sum(good[:30]) / sum(apart[:30]), sum(good[30:]) / sum(apart[30:])
     assert row["recall_scenes_pct"] == pytest.approx(100 * np.mean(shares))

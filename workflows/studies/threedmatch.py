@@ -8,7 +8,7 @@ from __future__ import annotations
 import pandas as pd
 
 from data.threedmatch.loader import Loader
-from workflows.outcomes import attempted
+from workflows.outcomes import attempted, comparable_times
 
 # Errors below which a pose is right; the translation error is in metres.
 MAX_ROTATION_DEG, MAX_TRANSLATION = 15.0, 0.3
@@ -17,7 +17,8 @@ SOURCES = {"7-scenes": "7-Scenes", "sun3d": "SUN3D"}
 
 def with_pairs(runs: pd.DataFrame, loader: Loader) -> pd.DataFrame:
     """Return attempted runs on the official lists with overlap, source and both verdicts."""
-    runs = attempted(runs[runs["test"] != "overlap"]).copy()
+    runs = attempted(runs.assign(time_solve_s=comparable_times(runs)))
+    runs = runs[runs["test"] != "overlap"].copy()
     keys = runs[["shape", "test", "level", "trial"]].itertuples(index=False, name=None)
     pairs = [loader.pairs[key] for key in keys]
     runs["overlap"] = [float(pair["overlap"]) for pair in pairs]
