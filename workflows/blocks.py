@@ -90,7 +90,7 @@ def chosen_trials(folder: Path) -> str:
     if not (folder / EVIDENCE / NEEDS).is_file():
         return ""
     return (
-        f"{folder / EVIDENCE} has only the trials that claims need; this command runs every trial.  "
+        f"{folder / EVIDENCE} has only the trials that claims need; this command runs every trial. "
         f"To run only needed ones: python -m reports evidence --experiments {folder.name}"
     )
 

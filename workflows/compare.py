@@ -167,10 +167,10 @@ def judge_records(name: str, base: Record, head: Record) -> list[Verdict]:
 
     def allowed_for(verdict: Verdict) -> Verdict:
         """Return the verdict, or ``unclear`` if the machine explains it."""
+        own = _card(head, verdict.method).get("baseline")
         for other in same if verdict in timed else ():
-            if other.verdict == verdict.verdict and _card(head, other.method).get(
-                "baseline"
-            ) != _card(head, verdict.method).get("baseline"):
+            is_other = _card(head, other.method).get("baseline") != own
+            if is_other and other.verdict == verdict.verdict:
                 why = f"{other.method}, which did not change, is {other.verdict} too"
                 return replace(verdict, verdict="unclear", detail=joined(verdict.detail, why))
         return verdict

@@ -25,7 +25,7 @@ from workflows.instances import (
 from workflows.integrity import SUMS, sealed
 from workflows.outcomes import OUTCOMES, stated
 from workflows.stages.aggregate import accounting
-from workflows.stages.solve import forget, solve
+from workflows.stages.solve import _plain, forget, solve
 
 
 def test_a_table_survives_parquet_and_csv(tmp_path):
@@ -216,3 +216,6 @@ def test_forget_drops_only_runs_by_status_and_truncated_lines(tmp_path):
 )
 def test_an_optimum_without_a_lower_bound_above_0_counts_as_converged(status, ratio, expected):
     assert stated(status, ratio) == expected
+    if ratio is not None and ratio == ratio:  # the same rule for the answer of a worker
+        answer = _plain({"status": status, "lower_bound": ratio, "upper_bound": 1.0}, 0.0)
+        assert answer["status"] == (expected if answer["bound_ratio"] <= 0 else status)

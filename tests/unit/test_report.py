@@ -499,6 +499,13 @@ def test_methods_on_different_instances_are_not_compared_over_all_tests(tables):
     chosen = dataclasses.replace(tables, runs=runs)
     (matrix,) = standing.matrices(chosen)[:1]
     assert matrix.columns == whole.columns[1:]
+    assert whole.standing(standing.BEST)
+    assert not any(cell.standing for row in matrix.rows.values() for cell in row.values())
+    for each, has_p in ((tables, True), (chosen, False)):
+        counts = [
+            c for found in paired.comparisons(each) for c in np.ravel(found["counts"]["right"])
+        ]
+        assert np.isfinite(counts[3::4]).all() == has_p
     styles = theme.method_styles(tables)
     for each, has_ratio in ((tables, True), (chosen, False)):
         panels = str(profile.build(each, styles, matrix.model).payload)

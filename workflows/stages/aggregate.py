@@ -24,11 +24,10 @@ from workflows.outcomes import NOT_NEEDED, OUTCOMES
 from workflows.stages.clouds import CLOUDS, clouds
 from workflows.stages.plan import Plan, plan_table
 
-LOCK = CHECKOUT / "requirements.lock"
-
 if TYPE_CHECKING:
     import polars as pl
 
+LOCK = CHECKOUT / "requirements.lock"
 MAX_OVERLAY_POINTS = 400  # per set
 REPLAY = "make replay"  # of the Makefile
 MOST_CSV_ROWS = 200_000  # of a CSV copy

@@ -133,7 +133,7 @@ def _rows(
                 yield {**identity, **_plain({"status": Status.UNSUPPORTED, "message": reason}, 0.0)}
                 continue
             if row := finished.get(key_of(identity)):
-                yield {**row, "status": stated(row["status"], row.get("bound_ratio"))}
+                yield row
                 continue
             reporter.begin(instance.instance_id)
             started = sandbox.time_started_s
