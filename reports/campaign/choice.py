@@ -16,7 +16,6 @@ from reports.campaign.comparisons import Comparison, comparisons
 from reports.campaign.forecast import Forecast, Times
 from reports.ledger.book import Claim, Ledger
 from reports.ledger.intervals import (
-    MIN_INSTANCES,
     MIN_SPREAD,
     MOST_NEEDED,
     NOT_RUN,
@@ -230,7 +229,7 @@ def _refuting(comparison: Comparison, own: Sequence[Decided]) -> list[Decided]:
 
 
 def _is_refuting(decided: Decided) -> bool:
-    """Tell whether a figure lies on the other side, and more instances can show that it does."""
+    """Tell whether a figure lies on the other side, and more trials can show that it does."""
     part = decided.part
     ((side, _),) = part.claimed.items()
     estimate, can_differ = part.estimate, part.rises or part.falls
@@ -262,10 +261,10 @@ def _blocks(own: Sequence[Decided], done: int) -> tuple[int, str]:
     counts = []
     for each in lacking:
         n, needed = each.part.estimate.n, each.needed
-        target = MIN_INSTANCES if needed is None else needed
+        target = each.part.least if needed is None else needed
         counts.append(math.ceil(max(1, done) * target / max(n, 1)) - done)
     if any(each.needed == MOST_NEEDED for each in lacking):
         return max(
             counts
-        ), f"the effect is so small that a decision needs more than {MOST_NEEDED} instances"
+        ), f"the effect is so small that a decision needs more than {MOST_NEEDED} trials"
     return max(1, *counts), ""

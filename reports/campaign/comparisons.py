@@ -15,7 +15,8 @@ from reports.ledger import planned
 from reports.ledger.book import Claim, Ledger
 from reports.ledger.checks import SHARES
 from reports.ledger.evidence import methods_in
-from reports.ledger.intervals import LEVEL, MIN_INSTANCES, OPEN, REPRODUCED, Share
+from reports.ledger.finding import least_trials
+from reports.ledger.intervals import LEVEL, OPEN, REPRODUCED, Share
 from reports.ledger.judging import Judgement
 from reports.ledger.planned import Planned
 from reports.ledger.verdicts import Decided
@@ -40,7 +41,7 @@ class Comparison:
     methods : tuple of str
     figures : tuple of Planned
     least : int
-        Minimum number of blocks with enough instances for a decision.
+        Minimum number of blocks with enough trials and instances for a decision.
     """
 
     check: int
@@ -93,7 +94,7 @@ def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
         for method in plan.methods if runs_here(method)
     ]  # fmt: skip
     first = planned.first_block([entry.model_dump() for entry in plan.experiment.datasets])
-    found = []
+    found, blocks = [], []
     for at, check in enumerate(claim.checks):
         if check.get("shown_only"):
             continue
@@ -102,17 +103,19 @@ def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
             filled = [methods_in(book.roles[role], settings) for role in roles]
             if all(filled):
                 found.append(_comparison(at, check, block, filled))
+                blocks.append(block)
     # Holm's correction tests the smallest p-value at this level
     level = LEVEL / max(1, sum(figure.number for each in found for figure in each.figures))
     return [
-        replace(each, least=_least(claim.checks[each.check], each.least, level)) for each in found
+        replace(each, least=_least(claim.checks[each.check], block, level))
+        for each, block in zip(found, blocks, strict=True)
     ]
 
 
 def _comparison(
     at: int, check: Mapping[str, Any], block: pd.DataFrame, filled: Sequence[Sequence[str]]
 ) -> Comparison:
-    """Return a comparison, so far with the instances of a block as its `least`."""
+    """Return a comparison, so far without its `least`."""
     tests = tuple(
         (str(test), tuple(sorted(map(float, levels.unique()))))
         for test, levels in block.groupby("test", sort=False)["level"]
@@ -123,18 +126,22 @@ def _comparison(
         tests=tests,
         methods=tuple(dict.fromkeys(name for each in filled for name in each)),
         figures=tuple(planned.comparisons(check, block, filled)),
-        least=min(planned.instances(check, place) for place in planned.places(check, block)),
+        least=1,
     )
 
 
-def _least(check: Mapping[str, Any], of_block: int, level: float) -> int:
+def _least(check: Mapping[str, Any], block: pd.DataFrame, level: float) -> int:
     """Return the minimum number of blocks for a decision; for a share, if all instances agree."""
-    needed = MIN_INSTANCES
+    needed = 0
     if check["kind"] == "regret" or check.get("quantity") in SHARES:
         ((side, threshold),) = check["claimed"].items()
         best = Share(float(side in ("above", "at_least")), 1)
-        needed = best.needed(threshold, level) or MIN_INSTANCES
-    return math.ceil(needed / of_block)
+        needed = best.needed(threshold, level) or 0
+    sizes = (planned.sizes(check, place) for place in planned.places(check, block))
+    return max(
+        math.ceil(max(needed, least_trials(instances / trials)) / trials)
+        for trials, instances in sizes
+    )
 
 
 def _by_test(check: Mapping[str, Any], block: pd.DataFrame) -> list[pd.DataFrame]:

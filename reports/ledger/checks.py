@@ -25,6 +25,7 @@ from reports.ledger.finding import (
     groups,
     limits,
     of_rival,
+    of_trials,
     paired,
     titled,
 )
@@ -53,10 +54,7 @@ def ratio(source: Source, p: Parameters) -> Finding:
             if both.empty:
                 finding.miss(f"instances that {name} and {rival} certify")
         for place, part in groups(both, p):
-            found = intervals.ratio(
-                part[quantity].to_numpy(dtype=float),
-                part[f"{quantity}_rival"].to_numpy(dtype=float),
-            )
+            found = intervals.ratio(*of_trials(part, quantity, f"{quantity}_rival").T)
             used, flags = (part, of_rival(part, theirs)), limits(quantity, part)
             finding.add(
                 (name, rival), place, found, p["claimed"], *used,
@@ -73,7 +71,7 @@ def _extreme_ratios(part: pd.DataFrame, quantity: str) -> intervals.Extremes | N
     if quantity not in LEAST:
         return None
     names = quantity, LEAST[quantity], f"{quantity}_rival", f"{LEAST[quantity]}_rival"
-    mine, least, others, their_least = (part[name].to_numpy(dtype=float) for name in names)
+    mine, least, others, their_least = of_trials(part, *names).T
     if (least == mine).all() and (their_least == others).all():
         return None
     return intervals.Extremes(
@@ -90,7 +88,8 @@ def value(source: Source, p: Parameters) -> Finding:
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
             for place, part in groups(runs.dropna(subset=quantity), p):
-                values = part[quantity].to_numpy(dtype=float)
+                of_trial = "max" if statistic == "maximum" else "mean"
+                (values,) = of_trials(part, quantity, by=of_trial).T
                 flags: dict[str, bool] = {}
                 between: intervals.Extremes | None = None
                 if is_share:
@@ -98,7 +97,8 @@ def value(source: Source, p: Parameters) -> Finding:
                     flags = limits(quantity, part)
                 elif statistic == "median" and quantity in WORK:
                     found = intervals.median(values)
-                    longest = intervals.median(np.where(part["limited"], np.inf, values))
+                    work = part.assign(work=np.where(part["limited"], np.inf, part[quantity]))
+                    longest = intervals.median(of_trials(work, "work")[:, 0])
                     between = intervals.Extremes(found, longest, intervals.TIME_OUTS)
                 else:
                     found = getattr(intervals, statistic)(values)
@@ -120,8 +120,7 @@ def low(source: Source, p: Parameters) -> Finding:
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
             for place, part in groups(runs, p):
-                columns = part[["error", "floor", "excess"]].to_numpy(dtype=float)
-                found = intervals.of_means(_allowance, columns)
+                found = intervals.of_means(_allowance, of_trials(part, "error", "floor", "excess"))
                 finding.add((name, ""), place, found, p["claimed"], part)
     return finding
 

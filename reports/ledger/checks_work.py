@@ -24,6 +24,7 @@ from reports.ledger.finding import (
     check,
     groups,
     of_rival,
+    of_trials,
     paired,
     titled,
 )
@@ -118,7 +119,7 @@ def race(source: Source, p: Parameters) -> Finding:
             finding.miss(f"a bound above 0 of {name} or {rival} for {instances}")
         both = both.dropna(subset=columns)
         for place, part in groups(both, p):
-            found = intervals.ratio(part["mine"].to_numpy(), part["other"].to_numpy())
+            found = intervals.ratio(*of_trials(part, "mine", "other").T)
             finding.add(
                 (name, rival), place, found, p["claimed"], part, of_rival(part, theirs),
                 rises=bool(part["mine_open"].any()), falls=bool(part["other_open"].any()),
@@ -189,7 +190,7 @@ def regret(source: Source, p: Parameters) -> Finding:
             for place, part in groups(both, p):
                 missed = part["limited"].astype(bool) & (part["within"] == 0)
                 finding.add(
-                    (name, against), place, intervals.share(part["within"].to_numpy()),
+                    (name, against), place, intervals.share(of_trials(part, "within")[:, 0]),
                     p["claimed"], part, rises=bool(missed.any()),
                 )  # fmt: skip
     return finding
@@ -216,9 +217,8 @@ def sensitivity(source: Source, p: Parameters) -> Finding:
             parts = [
                 table[table["test"].map(str).str.replace("_", " ") == test] for table in tables
             ]
-            factor = intervals.of_means(
-                _factors, np.column_stack([part[quantity].to_numpy(dtype=float) for part in parts])
-            )
+            costs = {f"cost {at}": part[quantity] for at, part in enumerate(parts)}
+            factor = intervals.of_means(_factors, of_trials(parts[0].assign(**costs), *costs))
             limited = any(part[CUT.get(quantity, "limited")].any() for part in parts)
             finding.add(
                 names, (test, titled(quantity, unit=False)), factor, p["claimed"],

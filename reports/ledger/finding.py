@@ -10,6 +10,7 @@ of the verdict); and ``cannot_refute`` (why a figure on the other side leaves th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from reports.ledger.evidence import Evidence, Experiment, Role
-from reports.ledger.intervals import Estimate, Extremes
+from reports.ledger.intervals import MIN_INSTANCES, MIN_TRIALS, Estimate, Extremes
 from reports.theme import words
 from workflows.compose import QUICK
 
@@ -33,6 +34,7 @@ FEWER_POINTS = "searches of fewer points than in the whole experiment take less 
 # Quantity -> the least that it can be (`Experiment.runs`), and whether a limit cut it.
 LEAST = {"time": "translation_time"}
 SHARED = ["dataset", "shape", "trial"]  # identify the same trial at different levels
+TRIAL = [*SHARED, "test"]  # identify the instances that share a pose: only trials are independent
 CUT = {"translation_time": "translation_limited", "translation_nodes": "translation_limited"}
 OF_RIVAL = ("limited", "gap_tol", "translation_limited", "translation_time", "parallel_jobs")
 TIMES = ("time", "translation_time")
@@ -71,12 +73,24 @@ class Part:
     rises: bool = False  # runs at a limit could increase the figure
     falls: bool = False  # ... or decrease it
     extremes: Extremes | None = None  # between which the figure lies, if more is not known
+    instances: int = 0  # of its trials; where all levels of a trial are one instance, the trials
     runs: Mapping[str, bool] = field(default_factory=dict)  # run_id -> whether it ended at a limit
     shown_only: bool = False
     cannot_refute: str = ""  # why the figure can reproduce a claim only
     cannot_show: str = ""  # why it can refute a claim only
     methods: tuple[str, ...] = ()
     cells: Cells = frozenset()  # of its first table
+
+    @property
+    def least(self) -> int:
+        """The minimum number of trials for a decision, if each has as many instances as now."""
+        of_one = self.instances / max(1, self.estimate.n)
+        return least_trials(of_one) if of_one else MIN_INSTANCES
+
+    @property
+    def is_small(self) -> bool:
+        """Whether it has too few instances or trials for a decision."""
+        return self.instances < MIN_INSTANCES or self.estimate.n < MIN_TRIALS
 
 
 @dataclass
@@ -110,9 +124,10 @@ class Finding:
             runs.update(zip(table["run_id"], table["limited"].astype(bool), strict=True))
             self.methods += [m for m in table["method"].unique() if m not in self.methods]
         used = tuple(dict.fromkeys(m for table in tables for m in table["method"].unique()))
+        instances = len(tables[0]) if tables else estimate.n
         self.parts.append(
             Part(
-                *names, *place, estimate, claimed, rises, falls, extremes, runs,
+                *names, *place, estimate, claimed, rises, falls, extremes, instances, runs,
                 methods=used, cells=cells_of(tables[0]) if tables else frozenset(),
             )
         )  # fmt: skip
@@ -207,6 +222,8 @@ def find(source: Source, p: Parameters) -> Finding:
         finding.missing = []
     if reason := p.get("cannot_refute"):
         finding.parts = [replace(part, cannot_refute=reason) for part in finding.parts]
+    if CHECKS[p["kind"]].per_trial:
+        finding.parts = [replace(part, instances=part.estimate.n) for part in finding.parts]
     is_part = source.experiment is not None and source.experiment.variables
     if is_part and p["kind"] == "value" and p.get("quantity") in WORK:
         finding.parts = [replace(part, cannot_show=FEWER_POINTS) for part in finding.parts]
@@ -266,6 +283,16 @@ def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
     for column, value in p.get("where", {}).items():
         part = part[part[column] == value]
     return part
+
+
+def least_trials(of_one: float) -> int:
+    """Return the minimum number of trials for a decision if each has `of_one` instances."""
+    return max(MIN_TRIALS, math.ceil(MIN_INSTANCES / of_one))
+
+
+def of_trials(table: pd.DataFrame, *columns: str, by: str = "mean") -> np.ndarray:
+    """Return the means, or another statistic, of columns in each trial, (trials, columns)."""
+    return table.groupby(TRIAL)[list(columns)].agg(by).to_numpy(dtype=float)
 
 
 def cells_of(table: pd.DataFrame) -> Cells:

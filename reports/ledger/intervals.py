@@ -3,14 +3,16 @@
 All verdicts follow from one rule. The rule is valid however often the results are examined, so blocks of
 runs can be added until a claim is decided:
 
-- A comparison has one estimate from instances. Its intervals form a confidence sequence: with probability
-  at least 1 - level, the intervals for all numbers of instances contain the true value. The p-value of a
-  side is the smallest level at which the interval lies entirely on that side, so p-values and intervals
-  always agree. It is the inverse of an e-value:
+- A comparison has one estimate. Its instances share a pose with others of their trial, so only trials are
+  independent: the estimate is over the means of trials. Its intervals form a confidence sequence: with
+  probability at least 1 - level, the intervals for all numbers of trials contain the true value. The
+  p-value of a side is the smallest level at which the interval lies entirely on that side, so p-values
+  and intervals always agree. It is the inverse of an e-value:
 
   - shares: beta-binomial mixture (Robbins, *Ann. Math. Statist.* 41, 1970), exact for independent
-    instances;
-  - medians: the same mixture for the share of instances on either side;
+    trials. The factor of a trial is convex in its share of ones, so with a share between 0 and 1 it is
+    at most the mean of the factors for 0 and 1, and the mixture remains an e-value;
+  - medians: the same mixture for the share of trials on either side;
   - all other estimates: the t-statistic with a normal prior on the effect (Wang and Ramdas, *Sequential
     Anal.* 44, 2025). It is exact for means of normal values and holds asymptotically for others, as in a
     central limit theorem (Waudby-Smith et al., *Ann. Statist.* 52, 2024). The standard error is that of
@@ -20,10 +22,10 @@ runs can be added until a claim is decided:
 - Within a claim, Holm's procedure keeps the probability of any wrong decision below `LEVEL`. In the
   order of their p-values, comparison i of m is decided at ``LEVEL / (m - i + 1)``; the procedure stops
   at the first comparison that is not decided. Each interval is shown at the level that decides it.
-- Comparisons with fewer than `MIN_INSTANCES` instances are not decided. They take part in the correction,
-  and so do planned ones without runs (`reports.ledger.planned`), because the number of comparisons must
-  not depend on when the results are looked at.
-- `needed` estimates from the observed effect and spread how many instances decide an open comparison.
+- Comparisons with fewer than `MIN_INSTANCES` instances or `MIN_TRIALS` trials are not decided. They take
+  part in the correction, and so do planned ones without runs (`reports.ledger.planned`), because the
+  number of comparisons must not depend on when the results are looked at.
+- `needed` estimates from the observed effect and spread how many trials decide an open comparison.
 """
 
 from __future__ import annotations
@@ -40,15 +42,16 @@ from scipy.stats import norm
 DRAWS = 2000  # of the bootstrap
 SEED = 20260326
 MIN_INSTANCES = 20  # fewer decide nothing
-MIN_SPREAD = 5  # fewer instances give no estimate of the spread
+MIN_TRIALS = 8  # fewer decide nothing, however many instances they have
+MIN_SPREAD = 5  # fewer trials give no estimate of the spread
 MOST_NEEDED = 10_000  # larger estimates are shown as "more than"
 LEVEL = 0.05
 POWER = 0.8
 DECIMALS = 12  # of estimates; removes slopes that are only rounding errors
-# Variance of the prior of an effect, in squared standard deviations of one instance. Compared with those
-# for a fixed number of instances, intervals are narrowest at about 15 / PRIOR instances.
+# Variance of the prior of an effect, in squared standard deviations of one trial. Compared with those
+# for a fixed number of trials, intervals are narrowest at about 15 / PRIOR trials.
 PRIOR = 0.3
-# Share of instances that must be shown to agree before values without any spread decide.
+# Share of trials that must be shown to agree before values without any spread decide.
 ALIKE = 0.75
 BETA = 0.5  # both parameters of the prior of a share
 
@@ -60,7 +63,7 @@ Claimed = Mapping[str, Any]  # side -> threshold
 
 
 class Estimate(Protocol):
-    """An estimate from `n` instances."""
+    """An estimate from `n` trials."""
 
     @property
     def value(self) -> float: ...
@@ -78,12 +81,12 @@ class Estimate(Protocol):
         """
 
     def needed(self, threshold: float, level: float) -> int | None:
-        """Return how many instances decide on which side of the threshold the true value lies."""
+        """Return how many trials decide on which side of the threshold the true value lies."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A function of means, with the standard deviation of the contribution of one instance."""
+    """A function of means, with the standard deviation of the contribution of one trial."""
 
     value: float
     n: int
@@ -120,7 +123,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Share:
-    """A share of instances with the value 1."""
+    """A mean of values between 0 and 1: of a trial, the share of its instances with the value 1."""
 
     value: float
     n: int
@@ -221,7 +224,7 @@ def _sides(p: float, is_below: bool) -> tuple[float, float]:
 
 
 def _p_of_t(n: int, t: float) -> float:
-    """Return the p-value of a t-statistic of `n` instances."""
+    """Return the p-value of a t-statistic of `n` trials."""
     if n < 2:
         return 1.0
     widened, x = 1.0 + n * PRIOR, t**2 / (n - 1)
@@ -239,7 +242,7 @@ def _critical_t(n: int, level: float) -> float:
 
 
 def _p_of_share(share: float, n: int, threshold: float) -> float:
-    """Return the p-value of an observed share among `n` instances if the true share is `threshold`."""
+    """Return the p-value of an observed share among `n` trials if the true share is `threshold`."""
     ones = share * n
     log_e = betaln(BETA + ones, BETA + n - ones) - betaln(BETA, BETA)
     log_e -= xlogy(ones, threshold) + xlog1py(n - ones, -threshold)
@@ -247,8 +250,8 @@ def _p_of_share(share: float, n: int, threshold: float) -> float:
 
 
 def _least_number(is_shown: Callable[[int], bool]) -> int:
-    """Return the minimum sufficient number of instances, from `MIN_INSTANCES` to `MOST_NEEDED`."""
-    low, high = MIN_INSTANCES, MOST_NEEDED
+    """Return the minimum sufficient number of trials, from `MIN_TRIALS` to `MOST_NEEDED`."""
+    low, high = MIN_TRIALS, MOST_NEEDED
     if is_shown(low) or not is_shown(high):
         return low if is_shown(low) else high
     while high - low > 1:
@@ -259,13 +262,13 @@ def _least_number(is_shown: Callable[[int], bool]) -> int:
 
 @lru_cache(maxsize=6)
 def _weights(n: int) -> np.ndarray:
-    """Return the share of each of `n` instances in each bootstrap draw, (draws, n)."""
+    """Return the share of each of `n` trials in each bootstrap draw, (draws, n)."""
     drawn = np.random.default_rng(SEED).multinomial(n, np.full(n, 1 / n), size=DRAWS)
     return (drawn / n).astype(np.float64)
 
 
 def of_means(statistic: Callable[[np.ndarray], np.ndarray], columns: np.ndarray) -> Figure:
-    """Return the estimate of a statistic of the means of `columns` (instances × quantities).
+    """Return the estimate of a statistic of the means of `columns` (trials × quantities).
 
     `statistic` maps means (draws × quantities) to a number per draw. Draws without a value (NaN) are left
     out. If only some of the others are finite, the deviation is infinite.
@@ -278,8 +281,8 @@ def of_means(statistic: Callable[[np.ndarray], np.ndarray], columns: np.ndarray)
     if len(drawn) == 0 or (drawn == drawn[0]).all():
         return Figure(value, n, 0.0)
     # the draws have the standard deviation for a divisor of n; correct it to n - 1
-    per_instance = n / np.sqrt(n - 1)
-    return Figure(value, n, drawn.std() * per_instance if np.isfinite(drawn).all() else np.inf)
+    per_trial = n / np.sqrt(n - 1)
+    return Figure(value, n, drawn.std() * per_trial if np.isfinite(drawn).all() else np.inf)
 
 
 def mean(values: np.ndarray) -> Figure:
@@ -347,9 +350,9 @@ def decide(on_it: float, on_the_other: float, level: float) -> str:
 
 
 def needed(estimate: Estimate, claimed: Claimed, level: float) -> int | None:
-    """Return how many instances decide the comparison with probability `POWER`; None if unknown.
+    """Return how many trials decide the comparison with probability `POWER`; None if unknown.
 
-    The number is unknown for fewer than `MIN_SPREAD` instances and without a spread. If it exceeds
+    The number is unknown for fewer than `MIN_SPREAD` trials and without a spread. If it exceeds
     `MOST_NEEDED`, as for effects near 0, `MOST_NEEDED` is returned.
     """
     if estimate.n < MIN_SPREAD:

@@ -190,7 +190,8 @@ def comparisons(judgements: list[Judgement]) -> pd.DataFrame:
                         "rival": row.rival, "group": row.group, "where": each.part.where,
                         "verdict": each.verdict, "value": each.part.estimate.value, "low": low,
                         "high": high, "coverage": 1 - each.level, "side": side,
-                        "threshold": threshold, "instances": each.part.estimate.n,
+                        "threshold": threshold, "trials": each.part.estimate.n,
+                        "instances": each.part.instances,
                         "runs": len(each.part.runs), "limited": sum(each.part.runs.values()),
                         "shown_only": row.shown_only, "open_because": each.why,
                     }

@@ -17,6 +17,7 @@ import pandas as pd
 from reports.ledger.finding import (
     CHECKS,
     SHARED,
+    TRIAL,
     Cells,
     Parameters,
     Part,
@@ -75,9 +76,13 @@ def is_by_test(check: Parameters) -> bool:
     return "test" in _by(check)
 
 
-def instances(check: Parameters, place: pd.DataFrame) -> int:
-    """Return how many instances a figure has per block: in some kinds, all levels of a trial are one."""
-    return len(place.drop_duplicates(SHARED)) if CHECKS[check["kind"]].per_trial else len(place)
+def sizes(check: Parameters, place: pd.DataFrame) -> tuple[int, int]:
+    """Return how many trials and instances a figure has per block.
+
+    In some kinds of checks, all levels of a trial are one instance.
+    """
+    trials = len(place.drop_duplicates(TRIAL))
+    return trials, trials if CHECKS[check["kind"]].per_trial else len(place)
 
 
 def roles(check: Parameters) -> Iterator[list[str]]:

@@ -14,7 +14,7 @@ from typing import Any
 
 from reports.ledger import intervals
 from reports.ledger.finding import Finding, Part
-from reports.ledger.intervals import LEVEL, MIN_INSTANCES, NOT, OPEN, REPRODUCED, TIME_OUTS
+from reports.ledger.intervals import LEVEL, NOT, OPEN, REPRODUCED, TIME_OUTS
 from workflows.significance import holm
 
 FEW, QUICK_LIMIT, WIDE = "few", "limit", "wide"
@@ -39,7 +39,8 @@ class Decided:
 
     @property
     def needed(self) -> int | None:
-        return intervals.needed(self.part.estimate, self.part.claimed, self.level)
+        found = intervals.needed(self.part.estimate, self.part.claimed, self.level)
+        return None if found is None else max(found, self.part.least)
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class Row:
 
     @property
     def instances(self) -> str:
-        """Why the row is open, and how many instances a decision needs; empty if it is decided."""
+        """Why the row is open, and how many trials a decision needs; empty if it is decided."""
         reasons = [d for d in self.decided if d.verdict == OPEN]
         if self.verdict != OPEN:
             return ""
@@ -115,7 +116,7 @@ class Row:
         lacking = [d for d in reasons if d.why in (FEW, WIDE)]
         if lacking:
             least = min(d.part.estimate.n for d in lacking)
-            texts.append(f"has {least} instances, needs {_most([d.needed for d in lacking])}")
+            texts.append(f"has {least} trials, needs {_most(lacking)}")
         return "; ".join(texts)
 
 
@@ -175,7 +176,7 @@ def agreed(finding: Finding, decided: Sequence[Decided]) -> list[Decided]:
 
 
 def _why(part: Part, level: float) -> str:
-    """Return why a comparison with enough instances is open."""
+    """Return why a comparison with enough trials is open."""
     would = intervals.p_values(part.estimate, part.claimed)
     if intervals.decide(*would, level) == OPEN:
         return WIDE
@@ -188,7 +189,7 @@ def _why(part: Part, level: float) -> str:
 def _barred(part: Part, *, quick: bool) -> str:
     if quick and any(part.runs.values()):
         return QUICK_LIMIT
-    return FEW if part.estimate.n < MIN_INSTANCES else ""
+    return FEW if part.is_small else ""
 
 
 def rows(
@@ -232,11 +233,13 @@ def _shown(estimate: intervals.Estimate, level: float) -> str:
     return f"{estimate.value:.3g} [{low:.3g}, {high:.3g}]"
 
 
-def _most(numbers: Sequence[int | None]) -> str:
-    """Return the maximum number of instances in words."""
+def _most(lacking: Sequence[Decided]) -> str:
+    """Return the maximum number of trials that a decision needs, in words."""
+    numbers = [each.needed for each in lacking]
+    least = max(each.part.least for each in lacking)
     if None in numbers:
-        return f"an unknown number, at least {MIN_INSTANCES}"
+        return f"an unknown number, at least {least}"
     most = max(number for number in numbers if number is not None)
     if most >= intervals.MOST_NEEDED:
         return f"more than {intervals.MOST_NEEDED:,}".replace(",", "\u202f")
-    return f"about {most:,}".replace(",", "\u202f") if most > MIN_INSTANCES else f"{most}"
+    return f"about {most:,}".replace(",", "\u202f") if most > least else f"{most}"

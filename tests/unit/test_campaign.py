@@ -280,12 +280,12 @@ def test_short_blocks_are_run_together(monkeypatch, share, at_once):
     [
         ("low-inlier", 33),  # two shapes; 66 right poses of 66 show that a rate is at least 0.9
         ("occl-stable", 10),  # all levels of a trial are one instance
-        ("faster", 2),  # six levels of two shapes
-        ("bound-explains", 2),
+        ("faster", 4),  # eight trials of two shapes, with more than 20 instances
+        ("bound-explains", 4),
         ("half-occl", 10),  # a comparison per level
     ],
 )
-def test_claims_without_runs_need_the_minimum_number_of_instances(unseen, claim, blocks):
+def test_claims_without_runs_need_the_minimum_number_of_trials(unseen, claim, blocks):
     assert next(option for option in unseen if option.claim == claim).blocks == blocks
 
 

@@ -214,14 +214,14 @@ def test_checks_of_closed_searches_leave_the_others_out():
     late = runs_of("rival", rmse=0.1)
     late.loc[late["trial"] < 10, ["status", "rmse"]] = "time_limit", 0.5
     closed = {**RATIO, "closed": True, "by": []}
-    assert figures(closed, runs_of("paper"), late) == [(pytest.approx(0.5), 60)]
+    assert figures(closed, runs_of("paper"), late) == [(pytest.approx(0.5), 20)]
     ours = runs_of("ours")
     ours.loc[ours["trial"] < 10, ["status", "objective"]] = "time_limit", 0.1
     of_all = {**REGRET, "by": ["model"]}
-    assert figures(of_all, ours, runs_of("paper", objective=1.05)) == [(1.0, 60)]
+    assert figures(of_all, ours, runs_of("paper", objective=1.05)) == [(1.0, 20)]
     failed = runs_of("paper", objective=1.05)
     failed.loc[failed["trial"] >= 20, ["verdict", "objective"]] = "no_pose", np.nan
-    assert figures(of_all, ours, failed) == [(0.5, 60)]
+    assert figures(of_all, ours, failed) == [(0.5, 20)]
 
 
 def test_optima_below_the_tolerance_do_not_count_for_bounds():
@@ -246,7 +246,7 @@ def test_race_ends_at_the_gap_that_both_reached():
     ours = history("paper", (0.0, 0.0), (1.0, 0.5), (5.0, 1.0))
     traces = pd.concat([ours, history("rival", (0.0, 0.0), (4.0, 0.5))])
     both = runs_of("paper"), runs_of("rival")
-    assert figures(RACE, *both, traces=traces) == [(pytest.approx(0.25), 90)]
+    assert figures(RACE, *both, traces=traces) == [(pytest.approx(0.25), TRIALS)]
 
 
 @pytest.mark.parametrize(("seconds", "verdict"), [(1.0, REPRODUCED), (6.0, OPEN)])
@@ -288,13 +288,13 @@ def test_times_are_compared_only_where_equally_many_jobs_ran():
     paper, rival = runs_of("paper", time_solve_s=2.0), runs_of("rival")
     rival["parallel_jobs"] = np.where(rival["trial"] < 20, 1.0, 2.0)
     time = {**TIME, "by": ["test"]}
-    assert figures(time, paper, rival) == [(pytest.approx(2.0), 60)]
+    assert figures(time, paper, rival) == [(pytest.approx(2.0), 20)]
     rival.loc[rival["trial"] < 10, "parallel_jobs"] = np.nan
-    assert figures(time, paper, rival) == [(pytest.approx(2.0), 30)]
+    assert figures(time, paper, rival) == [(pytest.approx(2.0), 10)]
     unknown = {"parallel_jobs": np.nan}
-    assert figures(time, paper.assign(**unknown), rival.assign(**unknown))[0][1] == 90
+    assert figures(time, paper.assign(**unknown), rival.assign(**unknown))[0][1] == TRIALS
     ratio = {**RATIO, "by": ["test"]}
-    assert figures(ratio, paper, rival)[0][1] == 90  # errors do not depend on other jobs
+    assert figures(ratio, paper, rival)[0][1] == TRIALS  # errors do not depend on other jobs
 
 
 def test_the_open_gap_of_an_exact_fit_is_0_and_that_of_a_run_without_bounds_is_1():
@@ -322,7 +322,7 @@ def test_a_race_does_not_depend_on_whether_a_history_was_archived():
 def test_a_cost_that_doubles_is_as_sensitive_as_one_that_halves():
     tables = [("half", 50.0), ("paper", 100.0), ("pa", 400.0), ("rival", 100.0)]
     runs = [runs_of(name, n_nodes=value) for name, value in tables]
-    assert figures(SENSITIVITY, *runs) == [(pytest.approx(0.5), 90)]
+    assert figures(SENSITIVITY, *runs) == [(pytest.approx(0.5), TRIALS)]
     assert judged(evidence(*runs[:3], limited(runs[3], 1)), SENSITIVITY).verdict == OPEN
 
 
@@ -470,7 +470,8 @@ def test_no_wrong_pose_at_a_limit_refutes_a_success_rate(monkeypatch):
     source = Source.__new__(Source)
     runs = pd.DataFrame(
         {"success": [0.0] * 40, "limited": True, "method": "name", "test": "noise", "level": 0.1,
-         "run_id": [str(number) for number in range(40)], "instance_id": range(40)}
+         "dataset": "d", "shape": "fish", "trial": range(40), "instance_id": range(40),
+         "run_id": [str(number) for number in range(40)]}
     )  # fmt: skip
     settings = {"methods": ["any"], "quantity": "success", "claimed": {"at_least": 0.9}}
     monkeypatch.setattr(Source, "runs", lambda *_: [("name", runs)])

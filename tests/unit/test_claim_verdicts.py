@@ -8,12 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from claim_fixture import (
+    LEVELS,
     LOW,
     RACE,
     RATIO,
     REGRET,
     RISE,
     SCATTER,
+    SENSITIVITY,
     SLOPE,
     TIME,
     TREND,
@@ -22,6 +24,7 @@ from claim_fixture import (
     error,
     evidence,
     figures,
+    history,
     judged,
     limited,
     runs_of,
@@ -35,6 +38,7 @@ from reports.ledger.finding import Finding, Part
 from reports.ledger.intervals import (
     LEVEL,
     MIN_INSTANCES,
+    MIN_TRIALS,
     NOT,
     NOT_RUN,
     OPEN,
@@ -81,7 +85,8 @@ def test_every_rival_and_test_has_a_verdict_of_its_own():
 def test_planned_comparisons_without_runs_take_part_in_the_correction():
     """Otherwise the first comparison that is run would be decided at too lenient a level."""
     finding = Finding(
-        "figure", parts=[Part("a", "b", "noise", "", Share(0.85, 40), {"above": 0.6})]
+        "figure",
+        parts=[Part("a", "b", "noise", "", Share(0.85, 40), {"above": 0.6}, instances=40)],
     )
     for missing, level in ((0, LEVEL), (9, LEVEL / 10)):
         ((found,),) = decide([finding], quick=False, missing=missing)
@@ -121,13 +126,12 @@ def test_a_figure_about_all_levels_has_trials_with_all_of_them_only():
     levels = sorted(ours["level"].unique())
     cut = [runs[(runs["level"] == levels[0]) | (runs["trial"] < 5)] for runs in (ours, theirs)]
     pooled = {**RATIO, "by": ["test"]}
-    for check, number in ((pooled, 5 * len(levels)), (RATIO, None)):
+    each = sorted([5] * (len(levels) - 1) + [ours["trial"].nunique()])
+    for check, trials, instances in ((pooled, [5], [5 * len(levels)]), (RATIO, each, each)):
         found = judged(planning(evidence(*cut), noise=levels), check)
-        numbers = [d.part.estimate.n for row in found.rows for d in row.decided]
-        if number:
-            assert numbers == [number]
-        else:
-            assert sorted(numbers) == sorted([5] * (len(levels) - 1) + [ours["trial"].nunique()])
+        parts = [d.part for row in found.rows for d in row.decided]
+        assert sorted(part.estimate.n for part in parts) == trials
+        assert sorted(part.instances for part in parts) == instances
 
 
 @pytest.mark.parametrize(
@@ -282,9 +286,56 @@ def test_few_instances_decide_nothing_and_the_needed_number_is_stated():
     )
     found = judged(evidence(*(runs.query("trial < 19") for runs in both)), RATIO)
     assert found.verdict == OPEN
-    assert found.reason.startswith(f"has 19 instances, needs {MIN_INSTANCES}")
+    assert found.reason.startswith(f"has 19 trials, needs {MIN_INSTANCES}")
     enough = [runs.query("trial < 20") for runs in both]
     assert judged(evidence(*enough), RATIO).verdict == REPRODUCED
+
+
+ONCE = [
+    RATIO, TIME, {**VALUE, "quantity": "success", "claimed": {"above": 0.5}}, LOW, REGRET, RACE,
+    SENSITIVITY,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("check", ONCE, ids=lambda check: check["kind"])
+def test_more_instances_of_the_same_trials_show_nothing_new(check):
+    """Instances of a trial share their pose: if they are all alike, they are one observation."""
+    one = [runs_of("paper", rmse=error(0.05), time_solve_s=error(1.0), n_nodes=error(90.0))]
+    one += [runs_of(name, rmse=error(0.1), time_solve_s=error(3.0), n_nodes=error(50.0))
+            for name in ("rival", "half", "pa", "ours")]  # fmt: skip
+    one = [runs[runs["level"] == LEVELS[0]] for runs in one]
+    traces = pd.concat([history("paper", (0.1, 0.9)), history("rival", (1.0, 0.9))])
+    intervals = []
+    for levels in (LEVELS[:1], LEVELS):
+        repeated = [
+            runs.assign(
+                level=level,
+                run_id=runs["run_id"].str.replace("-0.0-", f"-{level}-"),
+                instance_id=runs["instance_id"].str.replace("0.0-", f"{level}-"),
+            )
+            for runs in one
+            for level in levels
+        ]
+        found = judged(evidence(*repeated, traces=traces), {**check, "by": ["test"]})
+        parts = [d for row in found.rows for d in row.decided]
+        assert {d.part.estimate.n for d in parts} == {TRIALS}
+        assert {d.part.instances for d in parts} == {TRIALS * len(levels)}
+        intervals.append(np.array([d.interval for d in parts]))
+    assert len(intervals[0])
+    np.testing.assert_allclose(*intervals)
+
+
+def test_many_instances_of_few_trials_decide_nothing():
+    both = (runs_of("paper", rmse=error(0.05)), runs_of("rival", rmse=error(0.1)))
+    pooled = {**RATIO, "by": ["test"]}
+    few = [runs[runs["trial"] < MIN_TRIALS - 1] for runs in both]  # 21 instances
+    found = judged(evidence(*few), pooled)
+    assert (found.verdict, found.runs) == (OPEN, 42)
+    assert found.reason.startswith(f"has 7 trials, needs {MIN_TRIALS}")
+    enough = [runs[runs["trial"] < MIN_TRIALS] for runs in both]
+    assert judged(evidence(*enough), pooled).verdict == REPRODUCED
+    # in checks that compare levels, a trial is one instance
+    assert judged(evidence(*enough), RISE).rows[0].decided[0].part.instances == MIN_TRIALS
 
 
 def test_one_wrong_certificate_refutes_that_there_are_none():

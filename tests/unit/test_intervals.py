@@ -34,6 +34,7 @@ SEQUENCES = {
     "mean": (lambda rng: rng.normal(1.0, 2.0, 300), plain_mean),
     "skewed mean": (lambda rng: rng.exponential(1.0, 300), plain_mean),
     "share": (lambda rng: rng.random(300) < 0.8, intervals.share),
+    "share of trials": (lambda rng: rng.beta(4.0, 1.0, 300), intervals.share),
     "median": (lambda rng: rng.exponential(1.0 / np.log(2.0), 300), intervals.median),
 }  # fmt: skip
 
@@ -42,7 +43,7 @@ SEQUENCES = {
 def test_intervals_hold_at_all_looks_together(name):
     """In 95 % of the sequences, none of the 57 intervals excludes the true figure."""
     draw, estimate = SEQUENCES[name]
-    true = 0.8 if name == "share" else 1.0
+    true = 0.8 if name.startswith("share") else 1.0
     rng, wrong = np.random.default_rng(1), 0
     for _ in range(200):
         values = draw(rng)
@@ -132,6 +133,24 @@ def test_runs_at_a_limit_forbid_the_side_that_they_could_leave():
         assert intervals.p_values(inside, claimed, **{flag: True})[0] == 1.0
 
 
+@pytest.mark.parametrize("threshold", [0.1, 0.5, 0.9])
+@pytest.mark.parametrize("ones", [0, 3, 7])
+def test_a_share_within_a_trial_shows_less_than_whole_trials(threshold, ones):
+    """The e-value of a trial with a share is at most the mean of those with 0 and 1."""
+
+    def e_value(last: float) -> float:
+        return (
+            1.0
+            / intervals.share(np.array([1.0] * ones + [0.0] * (7 - ones) + [last])).tails(
+                threshold, tie_below=(ones + last) / 8 <= threshold
+            )[(ones + last) / 8 <= threshold]
+        )
+
+    ends = e_value(0.0), e_value(1.0)
+    for share in (0.25, 0.5, 0.75):
+        assert e_value(share) <= max(1.0, (1 - share) * ends[0] + share * ends[1]) + 1e-9
+
+
 def test_few_successes_do_not_show_a_share():
     claimed = {"at_least": 0.9}
     assert decided(intervals.share(np.ones(40)), claimed) == OPEN
@@ -163,7 +182,9 @@ def test_the_needed_number_is_honest_about_what_is_not_known():
     exact = intervals.mean(NORMAL)
     assert intervals.needed(exact, {"above": exact.value}, LEVEL) == MOST_NEEDED
     clear = intervals.mean(np.full(10, 5.0))
-    assert intervals.needed(clear, {"above": 1.0}, LEVEL) == MIN_INSTANCES
+    assert intervals.needed(clear, {"above": 1.0}, LEVEL) == 18
+    assert decided(intervals.mean(np.full(18, 5.0)), {"above": 1.0}) == REPRODUCED
+    assert decided(intervals.mean(np.full(17, 5.0)), {"above": 1.0}) == OPEN
     ones = intervals.share(np.ones(6))
     assert intervals.needed(ones, {"at_least": 0.9}, LEVEL) == 53
     assert decided(intervals.share(np.ones(53)), {"at_least": 0.9}) == REPRODUCED
