@@ -198,33 +198,38 @@ def _opened(comparison: Comparison, own: Sequence[Decided], state: _State) -> _O
     """Return how many blocks are expected to decide a comparison, and which side its figures are on."""
     done = comparison.blocks_in(state.needs)
     refuting = [] if comparison.any_is_enough else _refuting(comparison, own)
-    found = [_blocks([each], done) for each in refuting if each.verdict == OPEN]
+    found = [
+        _blocks(comparison, [each], state.needs) if is_whole else _unseen(comparison, done)
+        for each, is_whole in refuting
+        if each.verdict == OPEN
+    ]
     if not found and len(own) < sum(figure.number for figure in comparison.figures):
         found = [_unseen(comparison, done)]
     elif not found:
-        each_alone = [_blocks([each], done) for each in own if each.verdict == OPEN]
-        found = each_alone if comparison.any_is_enough else [_blocks(own, done)]
+        open_ones = [[each] for each in own if each.verdict == OPEN]
+        together = open_ones if comparison.any_is_enough else [own]
+        found = [_blocks(comparison, each, state.needs) for each in together]
     blocks, obstacle = min(found, key=lambda each: (bool(each[1]), each[0]))
     left = state.left(comparison)
     if not obstacle and blocks > left:
-        obstacle = (
-            f"a decision needs about {done + blocks} trials, but the config has {state.trials}"
-        )
+        obstacle = f"a decision needs about {blocks} more blocks, but the config has {left}"
     block = state.times.of_runs(state.ahead({comparison: 1})[1])
     return _Open(comparison, block, blocks, obstacle, bool(refuting))
 
 
-def _refuting(comparison: Comparison, own: Sequence[Decided]) -> list[Decided]:
+def _refuting(comparison: Comparison, own: Sequence[Decided]) -> list[tuple[Decided, bool]]:
     """Return the figures on the other side, if all figures of the same tests and levels are on it.
 
-    Variants of a method must agree, if we do not know which one the authors used.
+    Variants of a method must agree, if we do not know which one the authors used. Each figure is returned
+    with whether all its variants have a value.
     """
-    found = []
+    found: list[tuple[Decided, bool]] = []
     for figure in comparison.figures:
         same = [e for e in own if e.part.cells <= figure.cells]
         wanted = sum(e.number for e in comparison.figures if e.cells == figure.cells)
-        if len(same) == wanted and all(_is_refuting(each) for each in same):
-            found += [each for each in same if each not in found]
+        if same and all(_is_refuting(each) for each in same):
+            known = [each for each, _ in found]
+            found += [(each, len(same) == wanted) for each in same if each not in known]
     return found
 
 
@@ -249,11 +254,8 @@ def _unseen(comparison: Comparison, done: int) -> tuple[int, str]:
     return max(1, comparison.least - done), why
 
 
-def _blocks(own: Sequence[Decided], done: int) -> tuple[int, str]:
-    """Return the expected number of further blocks, and why they do not help.
-
-    `done` is the number of blocks so far.
-    """
+def _blocks(comparison: Comparison, own: Sequence[Decided], needs: Needs) -> tuple[int, str]:
+    """Return the expected number of further blocks after `needs`, and why they do not help."""
     open_ones = [each for each in own if each.verdict == OPEN]
     lacking = [each for each in open_ones if each.why in (FEW, WIDE)]
     if not lacking:
@@ -261,8 +263,9 @@ def _blocks(own: Sequence[Decided], done: int) -> tuple[int, str]:
     counts = []
     for each in lacking:
         n, needed = each.part.estimate.n, each.needed
-        target = each.part.least if needed is None else needed
-        counts.append(math.ceil(max(1, done) * target / max(n, 1)) - done)
+        target = each.least if needed is None else needed
+        done = max(1, comparison.blocks_in(needs, each.part))
+        counts.append(math.ceil(done * target / max(n, 1)) - done)
     if any(each.needed == MOST_NEEDED for each in lacking):
         return max(
             counts

@@ -8,15 +8,16 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from baselines import registry
-from reports.ledger import planned
+from reports.ledger import intervals, planned
 from reports.ledger.book import Claim, Ledger
 from reports.ledger.checks import SHARES
 from reports.ledger.evidence import methods_in
-from reports.ledger.finding import least_trials
-from reports.ledger.intervals import LEVEL, OPEN, REPRODUCED, Share
+from reports.ledger.finding import Part
+from reports.ledger.intervals import LEVEL, OPEN, REPRODUCED, Exact, Figure, Median, Share
 from reports.ledger.judging import Judgement
 from reports.ledger.planned import Planned
 from reports.ledger.verdicts import Decided
@@ -41,7 +42,7 @@ class Comparison:
     methods : tuple of str
     figures : tuple of Planned
     least : int
-        Minimum number of blocks with enough trials and instances for a decision.
+        Minimum number of blocks with enough trials for a decision.
     """
 
     check: int
@@ -82,8 +83,16 @@ class Comparison:
                 needs = needs.with_block(test, self.methods, levels)
         return needs
 
-    def blocks_in(self, needs: Needs) -> int:
-        return min(needs.of_all(test, self.methods, levels) for test, levels in self.tests)
+    def blocks_in(self, needs: Needs, part: Part | None = None) -> int:
+        """Return how many blocks were run of it, or of the tests, levels and methods of a figure."""
+        if part is None:
+            return min(needs.of_all(test, self.methods, levels) for test, levels in self.tests)
+        return min(
+            needs.of_all(
+                test, part.methods, [level for other, level in part.cells if other == test]
+            )
+            for test in {test for test, _ in part.cells}
+        )
 
 
 def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
@@ -131,17 +140,20 @@ def _comparison(
 
 
 def _least(check: Mapping[str, Any], block: pd.DataFrame, level: float) -> int:
-    """Return the minimum number of blocks for a decision; for a share, if all instances agree."""
-    needed = 0
-    if check["kind"] == "regret" or check.get("quantity") in SHARES:
-        ((side, threshold),) = check["claimed"].items()
-        best = Share(float(side in ("above", "at_least")), 1)
-        needed = best.needed(threshold, level) or 0
-    sizes = (planned.sizes(check, place) for place in planned.places(check, block))
+    """Return the minimum number of blocks for a decision, if all trials are as the claim says."""
+    needed = intervals.least(_ideal(check), check["claimed"], level)
     return max(
-        math.ceil(max(needed, least_trials(instances / trials)) / trials)
-        for trials, instances in sizes
+        math.ceil(needed / planned.trials_in(place)) for place in planned.places(check, block)
     )
+
+
+def _ideal(check: Mapping[str, Any]) -> intervals.Estimate:
+    """Return an estimate of the kind of a check; a share is as the claim says."""
+    if check["kind"] == "regret" or check.get("quantity") in SHARES:
+        return Share(float(not {"above", "at_least"}.isdisjoint(check["claimed"])), 1)
+    if check.get("statistic") == "median":
+        return Median(np.ones(1))
+    return Exact(0.0, 1) if check.get("statistic") == "maximum" else Figure(0.0, 1, 1.0)
 
 
 def _by_test(check: Mapping[str, Any], block: pd.DataFrame) -> list[pd.DataFrame]:

@@ -28,6 +28,7 @@ from reports.ledger.finding import (
     of_trials,
     paired,
     titled,
+    whole_trials,
 )
 from reports.theme import words
 
@@ -54,7 +55,11 @@ def ratio(source: Source, p: Parameters) -> Finding:
             if both.empty:
                 finding.miss(f"instances that {name} and {rival} certify")
         for place, part in groups(both, p):
-            found = intervals.ratio(*of_trials(part, quantity, f"{quantity}_rival").T)
+            part = whole_trials(part, quantity)
+            if part.empty:
+                continue
+            sums = of_trials(part, quantity, f"{quantity}_rival", by="sum")
+            found = intervals.ratio(*sums.T)
             used, flags = (part, of_rival(part, theirs)), limits(quantity, part)
             finding.add(
                 (name, rival), place, found, p["claimed"], *used,
@@ -71,7 +76,7 @@ def _extreme_ratios(part: pd.DataFrame, quantity: str) -> intervals.Extremes | N
     if quantity not in LEAST:
         return None
     names = quantity, LEAST[quantity], f"{quantity}_rival", f"{LEAST[quantity]}_rival"
-    mine, least, others, their_least = of_trials(part, *names).T
+    mine, least, others, their_least = of_trials(part, *names, by="sum").T
     if (least == mine).all() and (their_least == others).all():
         return None
     return intervals.Extremes(
@@ -133,7 +138,7 @@ def _allowance(means: np.ndarray) -> np.ndarray:
     return np.minimum(over_fit, excess / LOW_EXCESS)
 
 
-@check("rise", by=("test",), per_trial=True)
+@check("rise", by=("test",))
 def rise(source: Source, p: Parameters) -> Finding:
     """Error at the highest level over the error at the lowest one, paired by trial.
 
@@ -169,11 +174,11 @@ def _steepest(means: np.ndarray) -> np.ndarray:
 Statistic = Callable[[np.ndarray], np.ndarray]
 
 
-@check("slope", by=("test",), per_trial=True)
+@check("slope", by=("test",))
 def slope(source: Source, p: Parameters) -> Finding:
     """Slope of the mean error over the level; with ``rivals``, minus theirs, paired by trial.
 
-    With ``paired_levels: false``, the levels do not share trials.
+    With ``paired_levels: false``, the levels do not share trials: the slope is that over instances.
     """
     quantity = p.get("quantity", "error")
     finding = Finding(f"slope of mean {titled(quantity, unit=False)} over level")
@@ -182,11 +187,14 @@ def slope(source: Source, p: Parameters) -> Finding:
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
             if not p.get("rivals"):
-                for place, part in groups(runs, {"by": by}):
-                    table = _by_level(part, quantity, paired=p.get("paired_levels", True))
-                    if table is not None:
+                for place, part in groups(runs.dropna(subset=quantity), {"by": by}):
+                    if not p.get("paired_levels", True):
+                        found = _slope_of_instances(part, quantity)
+                    elif (table := _by_level(part, quantity)) is not None:
                         found = intervals.of_means(*_slopes(table))
-                        finding.add((name, ""), place, found, p["claimed"], part)
+                    else:
+                        continue
+                    finding.add((name, ""), place, found, p["claimed"], part)
             for rival_role in p.get("rivals", ()):
                 for rival, theirs in source.runs(rival_role, p, finding):
                     for place, part, other, tables in _both_by_level(runs, theirs, by, quantity):
@@ -204,22 +212,25 @@ def _difference(one: Statistic, two: Statistic, means: np.ndarray) -> np.ndarray
 
 
 def _slopes(table: pd.DataFrame) -> tuple[Statistic, np.ndarray]:
-    """Return the slope over levels as a statistic of means, and the columns to average.
-
-    Missing entries, of levels without common trials, do not count: the columns are values and counts.
-    """
+    """Return the slope over levels as a statistic of means, and the columns to average."""
     levels = table.columns.to_numpy(dtype=float)
     centred = levels - levels.mean()
-    count = len(levels)
-    columns = np.hstack([table.fillna(0.0).to_numpy(), table.notna().to_numpy(dtype=float)])
-
-    def of(means: np.ndarray) -> np.ndarray:
-        return (means[:, :count] / means[:, count:]) @ centred / (centred @ centred)
-
-    return of, columns
+    return lambda means: means @ centred / (centred @ centred), table.to_numpy()
 
 
-@check("scatter", by=("test",), per_trial=True)
+def _slope_of_instances(part: pd.DataFrame, quantity: str) -> intervals.Figure:
+    """Return the least-squares slope of a quantity over the level."""
+    x, y = part["level"] - part["level"].mean(), part[quantity]
+    terms = part.assign(x=x, y=y, xy=x * y, xx=x * x)
+    return intervals.of_means(_least_squares, of_trials(terms, "x", "y", "xy", "xx"))
+
+
+def _least_squares(means: np.ndarray) -> np.ndarray:
+    x, y, xy, xx = means.T
+    return (xy - x * y) / (xx - x**2)
+
+
+@check("scatter", by=("test",))
 def scatter(source: Source, p: Parameters) -> Finding:
     """Standard deviation of the error over the trials of a level, over the rival's."""
     quantity = p.get("quantity", "error")
@@ -228,10 +239,16 @@ def scatter(source: Source, p: Parameters) -> Finding:
     )
     for name, runs, rival, theirs in source.pairs(p, finding):
         for place, part, other, tables in _both_by_level(runs, theirs, ["test"], quantity):
-            values = np.hstack([table.to_numpy() for table in tables])
+            values = np.hstack([_within_shapes(table) for table in tables])
             found = intervals.of_means(_deviations, np.hstack([values, values**2]))
             finding.add((name, rival), place, found, p["claimed"], part, other)
     return finding
+
+
+def _within_shapes(table: pd.DataFrame) -> np.ndarray:
+    """Return the deviations of a table with a column per level from the means of each shape."""
+    means = table.groupby(["dataset", "shape"]).transform("mean")
+    return (table - means).to_numpy()
 
 
 def _deviations(means: np.ndarray) -> np.ndarray:
@@ -255,10 +272,7 @@ def _both_by_level(
             yield place, part, other, [mine.loc[common], others.loc[common]]
 
 
-def _by_level(runs: pd.DataFrame, quantity: str, *, paired: bool = True) -> pd.DataFrame | None:
-    """Return a column per level and a row per trial; a row per instance if levels are not paired."""
-    table = runs.pivot_table(
-        index=SHARED if paired else "instance_id", columns="level", values=quantity
-    )
-    table = table.dropna() if paired else table
+def _by_level(runs: pd.DataFrame, quantity: str) -> pd.DataFrame | None:
+    """Return a column per level and a row per trial."""
+    table = runs.pivot_table(index=SHARED, columns="level", values=quantity).dropna()
     return table if table.shape[1] > 1 and len(table) else None

@@ -16,7 +16,6 @@ import pandas as pd
 from reports.ledger import intervals
 from reports.ledger.finding import (
     CUT,
-    SHARED,
     TIMES,
     Finding,
     Parameters,
@@ -27,6 +26,7 @@ from reports.ledger.finding import (
     of_trials,
     paired,
     titled,
+    whole_trials,
 )
 from reports.tables import BOUNDS, stored_positions
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 NO_BOUND = 1.0 - 1e-9
 
 
-@check("trend", by=("test",), per_trial=True)
+@check("trend", by=("test",))
 def trend(source: Source, p: Parameters) -> Finding:
     """Spearman's rank correlation of work with the level.
 
@@ -53,10 +53,10 @@ def trend(source: Source, p: Parameters) -> Finding:
                         finding.miss(f"a second level of {test}")
                         continue
                     cut = part[CUT.get(quantity, "limited")].astype(bool)
-                    level, trial = part["level"], part.groupby(SHARED).ngroup()
+                    level, unit = part["level"], part["unit"]
                     found, least, most = (
                         _rank_correlation(
-                            level, part[quantity].mask(cut, np.inf), cut * order, trial
+                            level, part[quantity].mask(cut, np.inf), cut * order, unit
                         )
                         for order in (0.0 * level, -level, level)
                     )
@@ -69,7 +69,7 @@ def trend(source: Source, p: Parameters) -> Finding:
 
 
 def _rank_correlation(
-    level: pd.Series, work: pd.Series, then: pd.Series, trial: pd.Series
+    level: pd.Series, work: pd.Series, then: pd.Series, unit: pd.Series
 ) -> intervals.Figure:
     """Return the correlation of the ranks of the levels and of the work, ties ordered by `then`.
 
@@ -79,7 +79,7 @@ def _rank_correlation(
     y_ranks = order.map({key: at for at, key in enumerate(sorted(set(order)))}).rank()
     x, y = (ranks.to_numpy() - ranks.mean() for ranks in (level.rank(), y_ranks))
     terms = pd.DataFrame(np.column_stack([x, y, x * y, x**2, y**2]), index=level.index)
-    return intervals.of_means(_correlation, terms.groupby(trial).mean().to_numpy())
+    return intervals.of_means(_correlation, terms.groupby(unit).mean().to_numpy())
 
 
 def _correlation(means: np.ndarray) -> np.ndarray:
@@ -119,7 +119,7 @@ def race(source: Source, p: Parameters) -> Finding:
             finding.miss(f"a bound above 0 of {name} or {rival} for {instances}")
         both = both.dropna(subset=columns)
         for place, part in groups(both, p):
-            found = intervals.ratio(*of_trials(part, "mine", "other").T)
+            found = intervals.ratio(*of_trials(part, "mine", "other", by="sum").T)
             finding.add(
                 (name, rival), place, found, p["claimed"], part, of_rival(part, theirs),
                 rises=bool(part["mine_open"].any()), falls=bool(part["other_open"].any()),
@@ -218,7 +218,10 @@ def sensitivity(source: Source, p: Parameters) -> Finding:
                 table[table["test"].map(str).str.replace("_", " ") == test] for table in tables
             ]
             costs = {f"cost {at}": part[quantity] for at, part in enumerate(parts)}
-            factor = intervals.of_means(_factors, of_trials(parts[0].assign(**costs), *costs))
+            both = whole_trials(parts[0].assign(**costs), quantity)
+            if both.empty:
+                continue
+            factor = intervals.of_means(_factors, of_trials(both, *costs, by="sum"))
             limited = any(part[CUT.get(quantity, "limited")].any() for part in parts)
             finding.add(
                 names, (test, titled(quantity, unit=False)), factor, p["claimed"],

@@ -117,6 +117,7 @@ class Experiment:
             limited=runs["outcome"].eq("limited"),
             **_translation(runs, self.tables.cards, here),
             source=source.where(source != "", runs["dataset"]),
+            unit=_units(runs, source),
         )
 
     @cached_property
@@ -178,6 +179,13 @@ def methods_in(
     for rank, _, label in ranked:
         best.setdefault(role.chosen(rank), label)
     return list(best.values())
+
+
+def _units(runs: pd.DataFrame, source: pd.Series) -> pd.Series:
+    """Return what is independent: the trials, whose instances share a pose; of scans, the instances."""
+    trials = runs.groupby(["dataset", "shape", "test", "trial"], sort=False).ngroup()
+    pairs = pd.Series(-1 - pd.factorize(runs["instance_id"])[0], runs.index)
+    return trials.where(source == "", pairs)
 
 
 def _open_gap(runs: pd.DataFrame) -> pd.Series:

@@ -10,7 +10,6 @@ of the verdict); and ``cannot_refute`` (why a figure on the other side leaves th
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -19,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from reports.ledger.evidence import Evidence, Experiment, Role
-from reports.ledger.intervals import MIN_INSTANCES, MIN_TRIALS, Estimate, Extremes
+from reports.ledger.intervals import Estimate, Extremes
 from reports.theme import words
 from workflows.compose import QUICK
 
@@ -34,7 +33,7 @@ FEWER_POINTS = "searches of fewer points than in the whole experiment take less 
 # Quantity -> the least that it can be (`Experiment.runs`), and whether a limit cut it.
 LEAST = {"time": "translation_time"}
 SHARED = ["dataset", "shape", "trial"]  # identify the same trial at different levels
-TRIAL = [*SHARED, "test"]  # identify the instances that share a pose: only trials are independent
+TRIAL = [*SHARED, "test"]  # identify the instances that share a pose: a trial
 CUT = {"translation_time": "translation_limited", "translation_nodes": "translation_limited"}
 OF_RIVAL = ("limited", "gap_tol", "translation_limited", "translation_time", "parallel_jobs")
 TIMES = ("time", "translation_time")
@@ -73,24 +72,13 @@ class Part:
     rises: bool = False  # runs at a limit could increase the figure
     falls: bool = False  # ... or decrease it
     extremes: Extremes | None = None  # between which the figure lies, if more is not known
-    instances: int = 0  # of its trials; where all levels of a trial are one instance, the trials
+    instances: int = 0  # of its trials
     runs: Mapping[str, bool] = field(default_factory=dict)  # run_id -> whether it ended at a limit
     shown_only: bool = False
     cannot_refute: str = ""  # why the figure can reproduce a claim only
     cannot_show: str = ""  # why it can refute a claim only
     methods: tuple[str, ...] = ()
     cells: Cells = frozenset()  # of its first table
-
-    @property
-    def least(self) -> int:
-        """The minimum number of trials for a decision, if each has as many instances as now."""
-        of_one = self.instances / max(1, self.estimate.n)
-        return least_trials(of_one) if of_one else MIN_INSTANCES
-
-    @property
-    def is_small(self) -> bool:
-        """Whether it has too few instances or trials for a decision."""
-        return self.instances < MIN_INSTANCES or self.estimate.n < MIN_TRIALS
 
 
 @dataclass
@@ -170,7 +158,15 @@ class Source:
         if self.roles[role].choices:
             finding.choices.append((self.roles[role], [names[label] for label in labels]))
         for label, runs in filled:
+            if self.select is None and self._lacks_cells(runs, p):
+                finding.miss(f"{names[label]} at all of these tests and levels")
             yield names[label], runs
+
+    def _lacks_cells(self, runs: pd.DataFrame, p: Parameters) -> bool:
+        """Tell whether a method was not attempted at some test and level of a check."""
+        assert self.experiment is not None
+        cells = on_axes(self.experiment.cells, p, self.axes).assign(method="")
+        return bool(cells_of(select(cells, "", {**p, "where": {}})) - cells_of(runs))
 
     def pairs(
         self, p: Parameters, finding: Finding
@@ -191,7 +187,6 @@ class Kind:
 
     function: Check
     by: Sequence[str] = GROUPING  # the columns of its comparisons if a check names none
-    per_trial: bool = False  # all levels of a trial are one instance
     of_study: bool = False  # of the study of bounds
 
     def __call__(self, source: Source, p: Parameters) -> Finding:
@@ -202,12 +197,12 @@ CHECKS: dict[str, Kind] = {}
 
 
 def check(
-    name: str, *, by: Sequence[str] = GROUPING, per_trial: bool = False, of_study: bool = False
+    name: str, *, by: Sequence[str] = GROUPING, of_study: bool = False
 ) -> Callable[[Check], Check]:
     """Register a kind of check."""
 
     def register(function: Check) -> Check:
-        CHECKS[name] = Kind(function, by, per_trial, of_study)
+        CHECKS[name] = Kind(function, by, of_study)
         return function
 
     return register
@@ -222,8 +217,6 @@ def find(source: Source, p: Parameters) -> Finding:
         finding.missing = []
     if reason := p.get("cannot_refute"):
         finding.parts = [replace(part, cannot_refute=reason) for part in finding.parts]
-    if CHECKS[p["kind"]].per_trial:
-        finding.parts = [replace(part, instances=part.estimate.n) for part in finding.parts]
     is_part = source.experiment is not None and source.experiment.variables
     if is_part and p["kind"] == "value" and p.get("quantity") in WORK:
         finding.parts = [replace(part, cannot_show=FEWER_POINTS) for part in finding.parts]
@@ -285,14 +278,20 @@ def select(runs: pd.DataFrame, method: str, p: Parameters) -> pd.DataFrame:
     return part
 
 
-def least_trials(of_one: float) -> int:
-    """Return the minimum number of trials for a decision if each has `of_one` instances."""
-    return max(MIN_TRIALS, math.ceil(MIN_INSTANCES / of_one))
-
-
 def of_trials(table: pd.DataFrame, *columns: str, by: str = "mean") -> np.ndarray:
-    """Return the means, or another statistic, of columns in each trial, (trials, columns)."""
-    return table.groupby(TRIAL)[list(columns)].agg(by).to_numpy(dtype=float)
+    """Return a statistic of columns in each trial, (trials, columns)."""
+    return table.groupby("unit")[list(columns)].agg(by).to_numpy(dtype=float)
+
+
+def whole_trials(table: pd.DataFrame, quantity: str) -> pd.DataFrame:
+    """Return the instances of trials without a gap if the quantity is a time, else all.
+
+    Times are not compared where another number of jobs ran, which would change the mix of levels.
+    """
+    if quantity not in TIMES or table.empty:
+        return table
+    number = table.groupby("unit")["unit"].transform("size")
+    return table[number == number.groupby(table["shape"]).transform("max")]
 
 
 def cells_of(table: pd.DataFrame) -> Cells:

@@ -3,15 +3,15 @@
 All verdicts follow from one rule. The rule is valid however often the results are examined, so blocks of
 runs can be added until a claim is decided:
 
-- A comparison has one estimate. Its instances share a pose with others of their trial, so only trials are
-  independent: the estimate is over the means of trials. Its intervals form a confidence sequence: with
-  probability at least 1 - level, the intervals for all numbers of trials contain the true value. The
-  p-value of a side is the smallest level at which the interval lies entirely on that side, so p-values
-  and intervals always agree. It is the inverse of an e-value:
+- A comparison has one estimate, over trials: the instances of a trial share their pose, so only trials
+  are independent. The true value is that for these shapes under random poses and disturbances. The
+  intervals form a confidence sequence: with probability at least 1 - level, those for all numbers of
+  trials contain the true value. The p-value of a side is the smallest level at which the interval lies
+  entirely on that side, so p-values and intervals always agree. It is the inverse of an e-value:
 
   - shares: beta-binomial mixture (Robbins, *Ann. Math. Statist.* 41, 1970), exact for independent
-    trials. The factor of a trial is convex in its share of ones, so with a share between 0 and 1 it is
-    at most the mean of the factors for 0 and 1, and the mixture remains an e-value;
+    trials. A trial may have a share between 0 and 1: its likelihood ratio is convex in this share, so
+    its mean is at most that for 0 and 1, and the mixture remains an e-value;
   - medians: the same mixture for the share of trials on either side;
   - all other estimates: the t-statistic with a normal prior on the effect (Wang and Ramdas, *Sequential
     Anal.* 44, 2025). It is exact for means of normal values and holds asymptotically for others, as in a
@@ -22,9 +22,9 @@ runs can be added until a claim is decided:
 - Within a claim, Holm's procedure keeps the probability of any wrong decision below `LEVEL`. In the
   order of their p-values, comparison i of m is decided at ``LEVEL / (m - i + 1)``; the procedure stops
   at the first comparison that is not decided. Each interval is shown at the level that decides it.
-- Comparisons with fewer than `MIN_INSTANCES` instances or `MIN_TRIALS` trials are not decided. They take
-  part in the correction, and so do planned ones without runs (`reports.ledger.planned`), because the
-  number of comparisons must not depend on when the results are looked at.
+- Comparisons with fewer than `MIN_TRIALS` trials are not decided. They take part in the correction, and
+  so do planned ones without runs (`reports.ledger.planned`), because the number of comparisons must not
+  depend on when the results are looked at.
 - `needed` estimates from the observed effect and spread how many trials decide an open comparison.
 """
 
@@ -41,8 +41,7 @@ from scipy.stats import norm
 
 DRAWS = 2000  # of the bootstrap
 SEED = 20260326
-MIN_INSTANCES = 20  # fewer decide nothing
-MIN_TRIALS = 8  # fewer decide nothing, however many instances they have
+MIN_TRIALS = 20  # fewer decide nothing, however many instances they have
 MIN_SPREAD = 5  # fewer trials give no estimate of the spread
 MOST_NEEDED = 10_000  # larger estimates are shown as "more than"
 LEVEL = 0.05
@@ -83,6 +82,9 @@ class Estimate(Protocol):
     def needed(self, threshold: float, level: float) -> int | None:
         """Return how many trials decide on which side of the threshold the true value lies."""
 
+    def least(self, threshold: float, level: float) -> int:
+        """Return how many trials decide it if all are as far on its side as possible."""
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -120,6 +122,9 @@ class Figure:
             lambda n: np.sqrt(n) * distance >= (_critical_t(n, level) + margin) * self.deviation
         )
 
+    def least(self, threshold: float, level: float) -> int:
+        return _least_number(lambda n: np.isfinite(_critical_t(n, level)))
+
 
 @dataclass(frozen=True)
 class Share:
@@ -127,6 +132,7 @@ class Share:
 
     value: float
     n: int
+    deviation: float | None = None  # of one trial; None: as if all values were 0 or 1
 
     def interval(self, level: float) -> tuple[float, float]:
         return self._end(level, 0.0), self._end(level, 1.0)
@@ -148,7 +154,10 @@ class Share:
 
     def needed(self, threshold: float, level: float) -> int | None:
         away = np.sign(self.value - threshold)
-        margin = norm.isf(1 - POWER) * np.sqrt(self.value * (1 - self.value))
+        spread = (
+            np.sqrt(self.value * (1 - self.value)) if self.deviation is None else self.deviation
+        )
+        margin = norm.isf(1 - POWER) * spread
 
         def is_shown(n: int) -> bool:
             unlucky = self.value - away * margin / np.sqrt(n)
@@ -156,6 +165,9 @@ class Share:
             return is_beyond and _p_of_share(unlucky, n, threshold) <= level
 
         return _least_number(is_shown)
+
+    def least(self, threshold: float, level: float) -> int:
+        return Share(float(self.value >= threshold), 1).needed(threshold, level) or MIN_TRIALS
 
 
 @dataclass(frozen=True)
@@ -189,6 +201,9 @@ class Median:
         most = max((self.ordered > threshold).mean(), (self.ordered < threshold).mean())
         return Share(float(most), self.n).needed(0.5, level) if most > 0.5 else MOST_NEEDED
 
+    def least(self, threshold: float, level: float) -> int:
+        return Share(1.0, 1).least(0.5, level)
+
     def _p_of(self, count: int) -> float:
         return _p_of_share(count / self.n, self.n, 0.5)
 
@@ -208,6 +223,9 @@ class Exact:
 
     def needed(self, threshold: float, level: float) -> int | None:
         return None
+
+    def least(self, threshold: float, level: float) -> int:
+        return MIN_TRIALS
 
 
 class Extremes(NamedTuple):
@@ -299,7 +317,8 @@ def median(values: np.ndarray) -> Median:
 
 
 def share(values: np.ndarray) -> Share:
-    return Share(float(values.mean()), len(values))
+    spread = float(values.std(ddof=1)) if len(values) > 1 else None
+    return Share(float(values.mean()), len(values), spread)
 
 
 def maximum(values: np.ndarray) -> Exact:
@@ -357,9 +376,18 @@ def needed(estimate: Estimate, claimed: Claimed, level: float) -> int | None:
     """
     if estimate.n < MIN_SPREAD:
         return None
+    return estimate.needed(_nearest(estimate, claimed), level)
+
+
+def least(estimate: Estimate, claimed: Claimed, level: float) -> int:
+    """Return the minimum number of trials that can decide the comparison."""
+    return estimate.least(_nearest(estimate, claimed), level)
+
+
+def _nearest(estimate: Estimate, claimed: Claimed) -> float:
+    """Return the threshold, of two the nearest."""
     ((_, threshold),) = claimed.items()
-    nearest = min(np.atleast_1d(threshold), key=lambda end: abs(end - estimate.value))
-    return estimate.needed(float(nearest), level)
+    return float(min(np.atleast_1d(threshold), key=lambda end: abs(end - estimate.value)))
 
 
 def distance(estimate: Estimate, claimed: Claimed) -> float:

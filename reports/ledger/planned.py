@@ -76,13 +76,9 @@ def is_by_test(check: Parameters) -> bool:
     return "test" in _by(check)
 
 
-def sizes(check: Parameters, place: pd.DataFrame) -> tuple[int, int]:
-    """Return how many trials and instances a figure has per block.
-
-    In some kinds of checks, all levels of a trial are one instance.
-    """
-    trials = len(place.drop_duplicates(TRIAL))
-    return trials, trials if CHECKS[check["kind"]].per_trial else len(place)
+def trials_in(place: pd.DataFrame) -> int:
+    """Return how many trials a figure has per block."""
+    return len(place.drop_duplicates(TRIAL))
 
 
 def roles(check: Parameters) -> Iterator[list[str]]:
@@ -128,7 +124,8 @@ class Design:
         """Return the runs of a method that a check compares, those of incomplete trials left out."""
         block = compared(check, self.first, self.axes)
         own = select(runs, method, {**check, "levels": None})
-        return complete(check, block, own[_is_in(block, own)])
+        own = own[_is_in(block, own)]
+        return own if check.get("statistic") == "maximum" else complete(check, block, own)
 
     def figures(self, check: Parameters) -> list[Planned]:
         """Return the comparisons of a check."""

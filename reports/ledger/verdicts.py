@@ -14,7 +14,7 @@ from typing import Any
 
 from reports.ledger import intervals
 from reports.ledger.finding import Finding, Part
-from reports.ledger.intervals import LEVEL, NOT, OPEN, REPRODUCED, TIME_OUTS
+from reports.ledger.intervals import LEVEL, MIN_TRIALS, NOT, OPEN, REPRODUCED, TIME_OUTS
 from workflows.significance import holm
 
 FEW, QUICK_LIMIT, WIDE = "few", "limit", "wide"
@@ -39,8 +39,11 @@ class Decided:
 
     @property
     def needed(self) -> int | None:
-        found = intervals.needed(self.part.estimate, self.part.claimed, self.level)
-        return None if found is None else max(found, self.part.least)
+        return intervals.needed(self.part.estimate, self.part.claimed, self.level)
+
+    @property
+    def least(self) -> int:
+        return intervals.least(self.part.estimate, self.part.claimed, self.level)
 
 
 @dataclass(frozen=True)
@@ -115,8 +118,7 @@ class Row:
         texts += dict.fromkeys(d.why for d in reasons if d.why not in known)
         lacking = [d for d in reasons if d.why in (FEW, WIDE)]
         if lacking:
-            least = min(d.part.estimate.n for d in lacking)
-            texts.append(f"has {least} trials, needs {_most(lacking)}")
+            texts.append(_most_lacking(lacking))
         return "; ".join(texts)
 
 
@@ -189,7 +191,7 @@ def _why(part: Part, level: float) -> str:
 def _barred(part: Part, *, quick: bool) -> str:
     if quick and any(part.runs.values()):
         return QUICK_LIMIT
-    return FEW if part.is_small else ""
+    return FEW if part.estimate.n < MIN_TRIALS else ""
 
 
 def rows(
@@ -233,13 +235,14 @@ def _shown(estimate: intervals.Estimate, level: float) -> str:
     return f"{estimate.value:.3g} [{low:.3g}, {high:.3g}]"
 
 
-def _most(lacking: Sequence[Decided]) -> str:
-    """Return the maximum number of trials that a decision needs, in words."""
-    numbers = [each.needed for each in lacking]
-    least = max(each.part.least for each in lacking)
-    if None in numbers:
-        return f"an unknown number, at least {least}"
-    most = max(number for number in numbers if number is not None)
-    if most >= intervals.MOST_NEEDED:
-        return f"more than {intervals.MOST_NEEDED:,}".replace(",", "\u202f")
-    return f"about {most:,}".replace(",", "\u202f") if most > least else f"{most}"
+def _most_lacking(lacking: Sequence[Decided]) -> str:
+    """Return how many trials the comparison has that needs most of them, and how many it needs."""
+    most = max(lacking, key=lambda each: (each.needed is None, each.needed or each.least))
+    has, needed, least = most.part.estimate.n, most.needed, most.least
+    if needed is None:
+        number = f"an unknown number, at least {least}"
+    elif needed >= intervals.MOST_NEEDED:
+        number = f"more than {intervals.MOST_NEEDED:,}"
+    else:
+        number = f"about {needed:,}" if needed > least else f"{needed}"
+    return f"has {has} trials, needs {number}".replace(",", "\u202f").replace("\u202f ", ", ")

@@ -57,7 +57,7 @@ def test_boxes_hold_the_optimum_or_not(name, cases):
     theta = cases[name].theta
     for width in (2.0, 0.05):
         for trial in range(9):
-            found = study.placement(theta, width, trial)
+            found = study.placement(name, theta, width, trial)
             assert found or study.PLACES[trial % 3] == "away"
             if found:
                 place, box = found
@@ -65,6 +65,11 @@ def test_boxes_hold_the_optimum_or_not(name, cases):
                 assert place == study.PLACES[trial % 3]
                 assert box.upper - box.lower == pytest.approx(width)
                 assert inside == (place != "away")
+
+
+def test_cases_have_boxes_of_their_own():
+    one, other = (study.placement(name, np.zeros(3), 1.0, 1)[1] for name in ("one", "other"))
+    assert (one.centre != other.centre).all()
 
 
 def test_bounds_are_asked_for_their_full_strength(cases, monkeypatch):

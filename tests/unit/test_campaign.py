@@ -39,6 +39,7 @@ from workflows.stages.plan import expand
 NAME = "paper2d-40"
 EXPERIMENT = load(NAME)
 NONE = Needs({})
+CLAIMS = {claim.id: claim for claim in ledger().claims}
 
 
 class Named(NamedTuple):
@@ -254,7 +255,7 @@ def test_a_claim_that_needs_more_trials_than_there_are_has_an_obstacle(unseen):
     judged = judge(ledger(), Evidence({}, {}), {plain_name(NAME)})
     plan = expand(EXPERIMENT, None, NAME, unseen[0].needs)
     found = options(ledger(), judged, plan, times(), 1)
-    obstacle = "a decision needs about 10 trials, but the config has 1"
+    obstacle = "a decision needs about 10 more blocks, but the config has 1"
     assert any(option.obstacle == obstacle for option in found)
     assert bool(found[-1].obstacle)
 
@@ -279,9 +280,9 @@ def test_short_blocks_are_run_together(monkeypatch, share, at_once):
     ("claim", "blocks"),
     [
         ("low-inlier", 33),  # two shapes; 66 right poses of 66 show that a rate is at least 0.9
-        ("occl-stable", 10),  # all levels of a trial are one instance
-        ("faster", 4),  # eight trials of two shapes, with more than 20 instances
-        ("bound-explains", 4),
+        ("occl-stable", 10),
+        ("faster", 10),  # all levels of two shapes
+        ("bound-explains", 10),
         ("half-occl", 10),  # a comparison per level
     ],
 )
@@ -355,6 +356,39 @@ def test_methods_that_differ_by_a_choice_of_ours_refute_a_claim_together():
         figures[1][1].part, estimate=Share(0.9, 10)))))  # fmt: skip
     assert both.comparison.methods == ("frs", "frs-plain")
     assert both.seconds < one.seconds
+
+
+def test_a_variant_without_runs_is_run_before_longer_comparisons_that_could_refute():
+    needs = Needs({"deformation": {"frs": 1, "goicp-all": 1}})
+    figures = [
+        (1, Decided(part(name, claimed={"below": 0.5}, estimate=Share(0.9, 10)), OPEN, 0.01, why))
+        for name, why in (("frs", "not all variants of FRS agree"), ("goicp-all", FEW))
+    ]
+    plan = expand(load(RIGID), None, RIGID, needs)
+    times = Times.of([], load(RIGID))
+    own = [
+        each for each in comparisons(ledger(), CLAIMS["nonrigid"], plan) if "frs" in each.methods
+    ]
+    assert own[0].blocks_in(needs) == 0
+    found = choice._opened(own[0], [figures[0][1]], choice._State(plan, times, 100, set()))
+    assert (found.refutes, found.blocks, found.obstacle) == (True, own[0].least, "")
+
+
+def test_blocks_of_other_levels_do_not_count_for_a_figure():
+    """Level 0.3 was run for another claim as well."""
+    needs = Needs({"mixed_outliers": {"dcreg-paper": {"1": 20, "2": 2}}})
+    figures = {
+        level: Decided(
+            Part("a", "b", "c", "", Share(0.95, n), {"at_least": 0.9}, methods=("dcreg-paper",),
+                 cells=frozenset({("mixed_outliers", level)})), OPEN, 0.01, WIDE)
+        for level, n in ((1.0, 40), (2.0, 4))
+    }  # fmt: skip
+    plan = expand(EXPERIMENT, None, NAME, needs)
+    (own, *_) = comparisons(ledger(), CLAIMS["low-inlier"], plan)
+    alone = {level: choice._blocks(own, [each], needs)[0] for level, each in figures.items()}
+    wanted = figures[1.0].needed
+    assert alone[1.0] == math.ceil(wanted / 2) - 20
+    assert choice._blocks(own, list(figures.values()), needs)[0] == max(alone.values())
 
 
 def test_figures_of_another_comparison_do_not_count():

@@ -34,6 +34,7 @@ from claim_fixture import (
 from typer.testing import CliRunner
 
 from reports.__main__ import app
+from reports.ledger import checks
 from reports.ledger.evidence import Evidence
 from reports.ledger.finding import CHECKS, Source, limits, select
 from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED
@@ -237,9 +238,48 @@ def test_levels_without_common_trials_are_compared_unpaired():
     alone = runs_of("paper", rmse=lambda level, draw: 0.1 + level)
     check = {**SLOPE, "rivals": []}
     assert figures(check, alone) == [(pytest.approx(1.0), TRIALS)]
-    assert figures({**check, "paired_levels": False}, alone) == [(pytest.approx(1.0), 90)]
+    unpaired = {**check, "paired_levels": False}
+    alone["shape"] = "sun3d-hotel"
+    assert figures(unpaired, alone) == [(pytest.approx(1.0), 3 * TRIALS)]
     alone["shape"] = alone["instance_id"]
     assert figures(check, alone) == []
+
+
+def test_pairs_of_scans_with_the_same_number_are_not_one_trial():
+    """Their number begins anew in each range of overlaps."""
+    runs = runs_of("paper")
+    for shape, number in (("fish", TRIALS), ("7-scenes-redkitchen", 3 * TRIALS)):
+        assert figures({**VALUE, "by": ["test"]}, runs.assign(shape=shape)) == [(0.05, number)]
+
+
+def test_levels_with_few_scans_make_the_slope_uncertain():
+    """One pair at each end of the overlaps has the most leverage."""
+    rng, wrong = np.random.default_rng(3), 0
+    level = np.repeat([0.1, 0.3, 0.5, 0.7, 0.9], [1, 30, 60, 30, 1])
+    for _ in range(100):
+        error = rng.choice([0.1, 2.0], len(level), p=[0.8, 0.2])
+        runs = pd.DataFrame({"level": level, "error": error, "unit": range(len(level))})
+        low, high = checks._slope_of_instances(runs, "error").interval(0.05)
+        wrong += not low <= 0.0 <= high
+    assert wrong <= 5
+
+
+def test_scatter_is_that_within_shapes():
+    steady, loose = (
+        runs_of(name, rmse=spread_over(width)) for name, width in (("paper", 0.1), ("rival", 0.5))
+    )
+    alike = figures(SCATTER, steady, loose)
+    two = [
+        pd.concat([
+            runs,
+            runs.assign(
+                shape="fu", rmse=runs["rmse"] + 3.0, run_id=runs["run_id"] + "b",
+                instance_id=runs["instance_id"] + "b",
+            ),
+        ])
+        for runs in (steady, loose)
+    ]  # fmt: skip
+    assert figures(SCATTER, *two) == [(pytest.approx(alike[0][0]), 2 * TRIALS)]
 
 
 def test_race_ends_at_the_gap_that_both_reached():
@@ -470,7 +510,7 @@ def test_no_wrong_pose_at_a_limit_refutes_a_success_rate(monkeypatch):
     source = Source.__new__(Source)
     runs = pd.DataFrame(
         {"success": [0.0] * 40, "limited": True, "method": "name", "test": "noise", "level": 0.1,
-         "dataset": "d", "shape": "fish", "trial": range(40), "instance_id": range(40),
+         "unit": range(40), "instance_id": range(40),
          "run_id": [str(number) for number in range(40)]}
     )  # fmt: skip
     settings = {"methods": ["any"], "quantity": "success", "claimed": {"at_least": 0.9}}

@@ -28,6 +28,7 @@ from claim_fixture import (
     judged,
     limited,
     runs_of,
+    spread_over,
 )
 from report_fixture import write_tables
 
@@ -37,7 +38,6 @@ from reports.ledger.evidence import Evidence, Experiment
 from reports.ledger.finding import Finding, Part
 from reports.ledger.intervals import (
     LEVEL,
-    MIN_INSTANCES,
     MIN_TRIALS,
     NOT,
     NOT_RUN,
@@ -286,7 +286,7 @@ def test_few_instances_decide_nothing_and_the_needed_number_is_stated():
     )
     found = judged(evidence(*(runs.query("trial < 19") for runs in both)), RATIO)
     assert found.verdict == OPEN
-    assert found.reason.startswith(f"has 19 trials, needs {MIN_INSTANCES}")
+    assert found.reason.startswith(f"has 19 trials, needs {MIN_TRIALS}")
     enough = [runs.query("trial < 20") for runs in both]
     assert judged(evidence(*enough), RATIO).verdict == REPRODUCED
 
@@ -325,17 +325,42 @@ def test_more_instances_of_the_same_trials_show_nothing_new(check):
     np.testing.assert_allclose(*intervals)
 
 
+@pytest.mark.parametrize("check", [RATIO, SCATTER, VALUE], ids=lambda check: check["kind"])
+def test_a_method_without_runs_at_some_level_leaves_a_claim_open(check):
+    check = {**check, "claimed": {"below": 1.0}, "rivals": ["rpm_htb", "rpm_pa"]}
+    both = [
+        runs_of("paper", rmse=spread_over(0.1)),
+        runs_of("rival", rmse=lambda level, draw: spread_over(0.5)(level, draw) + 0.1),
+    ]
+    other = runs_of("pa").assign(rmse=both[1]["rmse"]), runs_of("ours")
+    assert judged(evidence(*both, *other), check).verdict == REPRODUCED
+    lacking = 0 if check["kind"] == "value" else 1
+    both[lacking] = both[lacking].query("level < 0.2")
+    found = judged(evidence(*both, *other), check)
+    assert found.verdict == OPEN
+    assert f"{('paper', 'rival')[lacking]} at all of these tests and levels" in found.reason
+
+
+def test_a_wrong_certificate_in_an_incomplete_trial_counts():
+    (claim,) = (claim for claim in ledger().claims if claim.id == "eps-min")
+    tables = [runs_of(name) for name in ("paper", "half")]
+    levels = sorted(tables[0]["level"].unique())
+    alone = runs_of("half", trial=99, bound_violation=1.1).head(1)
+    alone = alone.assign(run_id="alone", instance_id="alone")
+    for more, verdict in (([], REPRODUCED), ([alone], NOT)):
+        found = planning(evidence(*tables, *more), noise=levels)
+        assert judge_claim(ledger(), claim, found).verdict == verdict
+
+
 def test_many_instances_of_few_trials_decide_nothing():
     both = (runs_of("paper", rmse=error(0.05)), runs_of("rival", rmse=error(0.1)))
     pooled = {**RATIO, "by": ["test"]}
-    few = [runs[runs["trial"] < MIN_TRIALS - 1] for runs in both]  # 21 instances
+    few = [runs[runs["trial"] < MIN_TRIALS - 1] for runs in both]
     found = judged(evidence(*few), pooled)
-    assert (found.verdict, found.runs) == (OPEN, 42)
-    assert found.reason.startswith(f"has 7 trials, needs {MIN_TRIALS}")
+    assert (found.verdict, found.runs) == (OPEN, 2 * 3 * (MIN_TRIALS - 1))
+    assert found.reason.startswith(f"has {MIN_TRIALS - 1} trials, needs {MIN_TRIALS}")
     enough = [runs[runs["trial"] < MIN_TRIALS] for runs in both]
     assert judged(evidence(*enough), pooled).verdict == REPRODUCED
-    # in checks that compare levels, a trial is one instance
-    assert judged(evidence(*enough), RISE).rows[0].decided[0].part.instances == MIN_TRIALS
 
 
 def test_one_wrong_certificate_refutes_that_there_are_none():

@@ -28,7 +28,7 @@ from reports.__main__ import app
 from reports.claims import PAGE
 from reports.ledger.book import LEDGER, Claim, Ledger, ledger, roles_of
 from reports.ledger.evidence import Evidence, methods_in
-from reports.ledger.intervals import MIN_INSTANCES, NOT, NOT_RUN, OPEN, REPRODUCED
+from reports.ledger.intervals import MIN_TRIALS, NOT, NOT_RUN, OPEN, REPRODUCED
 from reports.ledger.judging import NO_VERDICT, count, judge, judge_claim
 from reports.tables import ReportError, Tables
 from workflows.config import load
@@ -65,7 +65,7 @@ def test_no_quick_part_refutes_a_claim_by_few_instances_or_by_a_limit(claim, tmp
     few = claim_tables.write(ledger(), claim, tmp_path / "few", true=False, trials=3, quick=True)
     found = judge_claim(ledger(), claim, Evidence.of_folders([few]))
     decided = [row for row in found.rows if row.verdict != OPEN]
-    assert all(each.part.estimate.n >= MIN_INSTANCES for row in decided for each in row.decided)
+    assert all(each.part.estimate.n >= MIN_TRIALS for row in decided for each in row.decided)
     many = claim_tables.write(ledger(), claim, tmp_path / "many", true=False, trials=12, quick=True)
     path = many / "tables" / "runs.parquet"
     runs = pd.read_parquet(path)

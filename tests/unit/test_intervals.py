@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from reports.ledger import intervals
-from reports.ledger.intervals import LEVEL, MIN_INSTANCES, MOST_NEEDED, NOT, OPEN, REPRODUCED
+from reports.ledger.intervals import LEVEL, MIN_TRIALS, MOST_NEEDED, NOT, OPEN, REPRODUCED
 
 RNG = np.random.default_rng(5)
 NORMAL = RNG.normal(1.0, 1.0, 60)
@@ -28,7 +28,7 @@ def plain_mean(values):
     return intervals.Figure(values.mean(), len(values), values.std(ddof=1))
 
 
-LOOKS = np.arange(MIN_INSTANCES, 301, 5)
+LOOKS = np.arange(MIN_TRIALS, 301, 5)
 # Values with a true figure of 1, and its estimate after n of them.
 SEQUENCES = {
     "mean": (lambda rng: rng.normal(1.0, 2.0, 300), plain_mean),
@@ -182,13 +182,38 @@ def test_the_needed_number_is_honest_about_what_is_not_known():
     exact = intervals.mean(NORMAL)
     assert intervals.needed(exact, {"above": exact.value}, LEVEL) == MOST_NEEDED
     clear = intervals.mean(np.full(10, 5.0))
-    assert intervals.needed(clear, {"above": 1.0}, LEVEL) == 18
-    assert decided(intervals.mean(np.full(18, 5.0)), {"above": 1.0}) == REPRODUCED
-    assert decided(intervals.mean(np.full(17, 5.0)), {"above": 1.0}) == OPEN
+    assert intervals.needed(clear, {"above": 1.0}, LEVEL) == MIN_TRIALS
     ones = intervals.share(np.ones(6))
     assert intervals.needed(ones, {"at_least": 0.9}, LEVEL) == 53
     assert decided(intervals.share(np.ones(53)), {"at_least": 0.9}) == REPRODUCED
     assert decided(intervals.share(np.ones(52)), {"at_least": 0.9}) == OPEN
+
+
+@pytest.mark.parametrize("level", [0.05, 0.05 / 40, 1e-12])
+@pytest.mark.parametrize(
+    ("estimate", "threshold"),
+    [
+        (intervals.mean, 0.0),
+        (intervals.share, 0.9),
+        (intervals.share, 0.2),
+        (intervals.median, 0.0),
+    ],
+)
+def test_the_least_number_is_that_of_trials_as_clear_as_possible(estimate, threshold, level):
+    def p_value(n: int) -> float:
+        clear = 1.0 + np.linspace(-1e-9, 1e-9, n) if estimate is intervals.mean else np.ones(n)
+        return min(estimate(clear).tails(threshold, tie_below=False))
+
+    least = intervals.least(estimate(np.ones(3)), {"above": threshold}, level)
+    assert p_value(least) <= level
+    assert least == MIN_TRIALS or p_value(least - 1) > level
+
+
+def test_shares_that_hardly_vary_between_trials_need_fewer_of_them():
+    values = np.tile([0.75, 0.85], 10)
+    alike, varied = intervals.share(values), intervals.Share(0.8, 20)
+    needed = [intervals.needed(each, {"above": 0.6}, LEVEL) for each in (alike, varied)]
+    assert needed[0] < needed[1]
 
 
 def test_values_without_spread_decide_only_if_most_instances_are_shown_to_agree():

@@ -21,6 +21,7 @@ and the objective is that of point norms.
 from __future__ import annotations
 
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -95,12 +96,13 @@ class Case:
 # --- boxes --------------------------------------------------------------------------------------
 
 
-def placement(theta: np.ndarray, width: float, trial: int) -> tuple[str, Box] | None:
-    """Return place and box of a trial; None if the box should avoid the optimum `theta` and cannot.
+def placement(name: str, theta: np.ndarray, width: float, trial: int) -> tuple[str, Box] | None:
+    """Return place and box of a trial of a case; None if it should avoid the optimum `theta` and cannot.
 
     The draw does not depend on the width.
     """
-    place, rng = PLACES[trial % len(PLACES)], np.random.default_rng([SEED, trial])
+    rng = np.random.default_rng([SEED, zlib.crc32(name.encode()), trial])
+    place = PLACES[trial % len(PLACES)]
     half, centre = 0.5 * width, theta
     if place == "holding":
         centre = theta + half * rng.uniform(-1.0, 1.0, theta.size)
@@ -177,7 +179,7 @@ def boxes_table(name: str, trial: int, case: Case) -> pd.DataFrame:
     compared = list(lines(case))
     rows = []
     for width in map(float, WIDTHS):
-        if (found := placement(case.theta, width, trial)) is None:
+        if (found := placement(name, case.theta, width, trial)) is None:
             continue
         place, box = found
         minimum = minimum_found(case, box)
