@@ -59,12 +59,15 @@ class Times:
         Number of runs, mean, median and 90th percentile per method, test and level.
     limits : dict of method to seconds
         What a method without any run is expected to take.
+    variants : dict of method to list of str
+        The methods with the same baseline, itself included.
     bytes_per_run : float or None
         Disk that a run takes, with its share of instances and tables.
     """
 
     cells: pd.DataFrame
     limits: dict[str, float]
+    variants: dict[str, list[str]]
     bytes_per_run: float | None = None
 
     @classmethod
@@ -79,9 +82,15 @@ class Times:
         Of a cell in several tables, the first one counts.
         """
         limits = {each.name: experiment.limits_of(each).time_s for each in experiment.methods}
+        variants = {
+            each.name: [
+                other.name for other in experiment.methods if other.baseline == each.baseline
+            ]
+            for each in experiment.methods
+        }
         known = [_cells(runs) for runs in tables]
         cells = pd.concat(known) if known else _cells(pd.DataFrame(columns=TIMED))
-        return cls(cells[~cells.index.duplicated()], limits, bytes_per_run)
+        return cls(cells[~cells.index.duplicated()], limits, variants, bytes_per_run)
 
     @staticmethod
     def as_limited(runs: pd.DataFrame, experiment: Experiment) -> pd.DataFrame:
@@ -116,16 +125,21 @@ class Times:
         """Return the expected seconds of a run, and whether its cell has been measured.
 
         Between measured levels of a test, times are interpolated linearly; beyond them, they are those of
-        the nearest level. In an unseen test, a run takes the geometric mean of the slowest test of the
-        method, in any experiment, and of its limit; otherwise the limit.
+        the nearest level. In an unseen test, a run takes as long as those of other methods with its
+        baseline; without any, the geometric mean of the slowest test of the method, in any experiment,
+        and of its limit; otherwise the limit.
         """
         if (method, test, level) in self.cells.index:
             return float(self.cells["mean"].loc[(method, test, level)]), True
-        own = self.cells[self.cells.index.get_level_values("method") == method]
-        same = own[own.index.get_level_values("test") == test].sort_index()
-        if len(same):
-            levels = same.index.get_level_values("level").to_numpy(dtype=float)
-            return float(np.interp(level, levels, same["mean"])), False
+        of_method, of_test = (
+            self.cells.index.get_level_values(name) for name in ("method", "test")
+        )
+        for methods in ([method], self.variants[method]):
+            same = self.cells["mean"][of_method.isin(methods) & (of_test == test)]
+            if len(same):
+                means = same.groupby("level").mean()
+                return float(np.interp(level, means.index.to_numpy(dtype=float), means)), False
+        own = self.cells[of_method == method]
         if len(own):
             slowest = float(own.groupby("test")["mean"].mean().max())
             return float(np.sqrt(slowest * self.limits[method])), False

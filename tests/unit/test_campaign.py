@@ -69,6 +69,13 @@ def unseen():
     return ahead(times())
 
 
+def test_an_unseen_method_is_expected_to_take_as_long_as_others_of_its_baseline():
+    known = times(("dcreg-paper", "noise", 0.02, 3.0), ("dcreg-paper", "noise", 0.04, 5.0))
+    assert known.of_cell("dcreg-paper-half", "noise", 0.03) == (4.0, False)
+    assert known.of_cell("dcreg-paper-half", "deformation", 0.03)[0] > 50.0
+    assert known.of_cell("rpm_pa", "noise", 0.03)[0] > 50.0
+
+
 def test_a_measured_cell_is_expected_to_take_its_mean():
     known = times(("rpm_pa", "noise", 0.02, 1.0), ("rpm_pa", "noise", 0.02, 3.0))
     assert known.of_cell("rpm_pa", "noise", 0.02) == (2.0, True)
