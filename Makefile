@@ -159,7 +159,7 @@ bounds: setup
 	@$(BIN)/python -m workflows.studies.bounds results/bounds
 	@$(BIN)/python -m reports bounds results/bounds
 
-## faults: disturb experiments of 500 runs by twelve kinds of faults; count lost and repeated runs (RUNS=48)
+## faults: disturb experiments of 500 runs by thirteen kinds of faults; count lost and repeated runs (RUNS=48)
 .PHONY: faults
 faults: setup
 	@$(BIN)/python -m workflows.studies.faults results/faults --runs $(or $(RUNS),500)

@@ -156,8 +156,13 @@ def evidence(
 ) -> None:
     """Spend the given hours on the runs that decide claims soonest; the same command continues."""
     from reports.campaign.run import collect
+    from workflows.config import load
+    from workflows.running import set_aside
 
-    collect(hours, experiments.split(","), directory, cores, directory / "results" / "evidence")
+    names = experiments.split(",")
+    for name in names if hours else ():
+        set_aside(directory, load(name).name)
+    collect(hours, names, directory, cores, directory / "results" / "evidence")
 
 
 @app.command()

@@ -16,6 +16,7 @@ from data import registry
 from data.contract import RecordedDataset
 from workflows import UserError, records
 from workflows.disturb import DISTURBANCES
+from workflows.integrity import readable, refuse_damaged
 from workflows.outcomes import NOT_NEEDED, OUTCOMES, STARTED
 from workflows.stages.aggregate import REPLAY
 from workflows.studies import REFERENCE
@@ -47,11 +48,17 @@ class Tables:
 
     @classmethod
     def load(cls, directory: Path) -> Tables:
-        """Read and check the tables in `directory`."""
+        """Read and check the tables in `directory`.
+
+        Raises
+        ------
+        ReportError, SchemaError, DamagedError
+        """
         directory = Path(directory)
         path = directory / "accounting.csv"
         if not path.is_file():
             raise ReportError(f"{path}: no such table; run the experiment first")
+        refuse_damaged(directory)
         tables = cls(
             directory=directory,
             runs=_read_runs(directory / "runs.parquet"),
@@ -302,7 +309,10 @@ def is_refuted(runs: pd.DataFrame) -> pd.Series:
 def started_in(place: Path) -> int:
     """Return the number of started runs in the tables of a folder of results; -1 without tables."""
     path = place / "tables" / "accounting.csv"
-    return int(pd.read_csv(path)[list(STARTED)].to_numpy().sum()) if path.is_file() else -1
+    if not path.is_file():
+        return -1
+    with readable(path):
+        return int(pd.read_csv(path)[list(STARTED)].to_numpy().sum())
 
 
 def thinned_positions(count: int, most: int = MOST_EVENTS) -> np.ndarray:
@@ -318,10 +328,14 @@ def _read_runs(path: Path) -> pd.DataFrame:
 
     if not path.is_file():
         raise records.SchemaError(f"{path}: no such table; run the experiment first")
-    table, columns = pl.scan_parquet(path), records.runs_columns()
-    known = table.select(name for name in table.collect_schema() if name in columns)
-    ordered = known.sort("dim", maintain_order=True) if "dim" in known.collect_schema() else known
-    return records.conform(ordered.collect().to_pandas(), columns, str(path))
+    columns = records.runs_columns()
+    with readable(path):
+        table = pl.scan_parquet(path)
+        known = table.select(name for name in table.collect_schema() if name in columns)
+        has_dim = "dim" in known.collect_schema()
+        ordered = known.sort("dim", maintain_order=True) if has_dim else known
+        runs = ordered.collect().to_pandas()
+    return records.conform(runs, columns, str(path))
 
 
 def _read_json(path: Path, empty: Any) -> Any:

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dcreg.files import whole_file
 from workflows.compose import ConfigError
+from workflows.integrity import SUMS, is_damaged, sealed_file
 
 EVIDENCE = "evidence"  # folder of the tables of blocks, in that of their experiment
 FORECASTS = "forecast.csv"  # in results/evidence: forecast and actual time of each block
+VERDICTS = "verdicts.csv"  # next to it: the verdicts after some hours
+OPEN_CLAIMS = "open.csv"  # next to it: what the open claims need
 NEEDS = "needs.json"  # file of `Needs` in it
 REST = "*"  # all levels that are not named
 
@@ -38,6 +40,8 @@ class Needs:
         ------
         ConfigError
         """
+        if path.is_file() and is_damaged(path):
+            raise ConfigError(f"{path}: damaged, its SHA-256 is not that in {SUMS}; remove it")
         try:
             return cls(_checked(json.loads(path.read_text(encoding="utf-8"))))
         except (OSError, ValueError) as error:
@@ -45,7 +49,7 @@ class Needs:
 
     def write(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as part:
+        with sealed_file(path) as part:
             part.write_text(json.dumps(self.trials, indent=1, sort_keys=True), encoding="utf-8")
 
     def of(self, method: str, test: str, level: float) -> int:

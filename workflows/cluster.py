@@ -15,6 +15,7 @@ from workflows.archives import runs_of
 from workflows.blocks import EVIDENCE
 from workflows.compose import QUICK
 from workflows.config import Experiment, LimitSettings
+from workflows.integrity import is_damaged
 from workflows.records import SCHEMA_VERSION
 from workflows.stages.plan import Chunk
 
@@ -140,6 +141,6 @@ def _table(folder: Path) -> Iterator[pd.DataFrame]:
     import pandas as pd  # takes long to load, and only the main process on a cluster needs it
 
     path = folder / "tables" / "runs.parquet"
-    if path.is_file():
+    if path.is_file() and not is_damaged(path):
         current = [("schema_version", "==", SCHEMA_VERSION)]
         yield pd.read_parquet(path, columns=COLUMNS, filters=current)

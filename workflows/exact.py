@@ -18,6 +18,7 @@ import pandas as pd
 from workflows import records
 from workflows.attribution import COLUMNS
 from workflows.compare import CompareError
+from workflows.integrity import refuse_damaged
 from workflows.outcomes import TIMED
 
 # Columns that may differ between two executions.
@@ -80,6 +81,7 @@ def read(folder: Path) -> pd.DataFrame:
     path = folder / "tables" / "runs.parquet"
     if not path.is_file():
         raise CompareError(f"{path}: no such table; name the folder of an experiment's results")
+    refuse_damaged(path.parent)
     runs = records.read(path, records.runs_columns()).set_index("run_id", drop=False)
     cards = json.loads(path.with_name("provenance.json").read_text(encoding="utf-8"))["methods"]
     limits = {name: card.get("limits", {}).get("time_s", np.inf) for name, card in cards.items()}

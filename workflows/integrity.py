@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from dcreg.files import whole_file
+from workflows import UserError
 
 DAMAGED = ".damaged"  # suffix of a file that was set aside
 SUMS = ".checksums"  # file of a folder; for each name, its last line counts
-SUFFIXES = (".npz", ".parquet")  # of the files that have checksums
+SUFFIXES = (".npz", ".parquet")  # such a file is damaged if it has no checksum
+REMEDY = (
+    "copy it again, or repeat the command that made it, which sets it aside and makes it again: "
+    "`python -m workflows run EXPERIMENT`, for collected evidence `python -m reports evidence`"
+)
 _LENGTH = 16  # hexadecimal digits of the checksum of a line
+
+
+class DamagedError(UserError):
+    """A file of results is damaged; the message names the file and the remedy."""
 
 
 def sealed(row: dict[str, Any]) -> str:
@@ -42,28 +51,65 @@ def sealed_file(path: Path) -> Iterator[Path]:
 def set_aside_damaged(folder: Path) -> list[Path]:
     """Rename the damaged files of an experiment; return their old names.
 
-    A file without a checksum counts as damaged.
+    A file of `SUFFIXES` without a checksum counts as damaged.
     """
     places = [folder, *(path for path in sorted(folder.rglob("*")) if path.is_dir())]
-    damaged = [path for place in places for path in _damaged_in(place)]
+    damaged = [path for place in places for path in _damaged_in(place, SUFFIXES)]
     for path in damaged:
         path.rename(path.with_name(path.name + DAMAGED))
     return damaged
 
 
-def _damaged_in(folder: Path) -> list[Path]:
-    """Return the files of a folder that differ from their last checksum."""
-    sums, stored = folder / SUMS, {}
-    if sums.is_file():
-        for line in sums.read_text(encoding="utf-8", errors="replace").splitlines():
-            checksum, _, name = line.partition("  ")
-            stored[name] = checksum
+def refuse_damaged(folder: Path) -> None:
+    """Refuse a folder with a damaged file; a file without a checksum counts as intact.
+
+    Raises
+    ------
+    DamagedError
+    """
+    for path in _damaged_in(folder):
+        raise DamagedError(f"{path}: damaged, its SHA-256 is not that in {SUMS}; {REMEDY}")
+
+
+def is_damaged(path: Path) -> bool:
+    """Tell whether a file differs from its checksum, if it has one."""
+    checksum = _checksums(path.parent).get(path.name)
+    return checksum is not None and digest(path) != checksum
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Turn what other libraries raise for a damaged file without a checksum into `DamagedError`."""
+    try:
+        yield
+    except (UserError, MemoryError):
+        raise
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise DamagedError(f"{path}: cannot be read ({reason}); {REMEDY}") from error
+
+
+def _damaged_in(folder: Path, suffixes: Sequence[str] = ()) -> list[Path]:
+    """Return the files of a folder that differ from their checksum.
+
+    Also those with one of the suffixes that have no checksum.
+    """
+    stored = _checksums(folder)
     return [
         path
-        for path in sorted(folder.iterdir())
-        if path.suffix in SUFFIXES and not path.name.startswith(".") and path.is_file()
-        and digest(path) != stored.get(path.name)
+        for path in sorted(folder.glob("*"))
+        if (path.name in stored or path.suffix in suffixes) and not path.name.startswith(".")
+        and path.is_file() and digest(path) != stored.get(path.name)
     ]  # fmt: skip
+
+
+def _checksums(folder: Path) -> dict[str, str]:
+    """Return the last checksum of each file of a folder."""
+    sums = folder / SUMS
+    if not sums.is_file():
+        return {}
+    lines = sums.read_text(encoding="utf-8", errors="replace").splitlines()
+    return {name: checksum for checksum, _, name in (line.partition("  ") for line in lines)}
 
 
 def digest(path: Path) -> str:

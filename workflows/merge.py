@@ -20,6 +20,7 @@ import typer
 
 from workflows import UserError
 from workflows.cli import user_errors
+from workflows.integrity import readable, refuse_damaged, sealed
 from workflows.journal import Key, as_lines, key_of, lines_of
 from workflows.stages.worker import COUNTERS
 
@@ -91,10 +92,13 @@ class Source:
             trace = path.with_suffix(".trace.parquet")
             if path.name.endswith(".trace.parquet") or not trace.is_file():
                 continue
-            runs = pd.read_parquet(path)
+            with readable(path):
+                runs = pd.read_parquet(path)
             keys = zip(runs["run_id"], runs["instance_digest"], runs["fingerprint"], strict=True)
             if len(rest := runs[[key not in known for key in keys]]):
-                yield from _started(rest, pd.read_parquet(trace), path)
+                with readable(trace):
+                    events = pd.read_parquet(trace)
+                yield from _started(rest, events, path)
 
 
 @dataclass
@@ -126,7 +130,7 @@ def merge(sources: Sequence[Path], out: Path, *, mixed_machines: bool = False) -
 
     Raises
     ------
-    MergeError, ArchiveError
+    MergeError, ArchiveError, DamagedError
         A source has no results or is damaged, instances or results contradict each other, or machines
         differ without `mixed_machines`. Nothing is written in these cases.
     """
@@ -171,6 +175,8 @@ def _sources(place: Path) -> Iterator[Source]:
         )
     for folder in folders:
         names = sorted(path.name for path in (folder / "runs").iterdir() if path.is_dir())
+        for name in names:
+            refuse_damaged(folder / "runs" / name)
         known = _planned_methods(folder)
         yield Source(
             folder.resolve().name, folder, {name: known.get(name, ("", "")) for name in names}
@@ -196,7 +202,9 @@ def _planned_methods(folder: Path) -> dict[str, tuple[str, str]]:
     columns = ["method", "baseline", "options_effective"]
     known: dict[str, tuple[str, str]] = {}
     for path in sorted(folder.glob("**/plan/plan.parquet")):
-        known |= _settings(pd.read_parquet(path, columns=columns).drop_duplicates())
+        refuse_damaged(path.parent)
+        with readable(path):
+            known |= _settings(pd.read_parquet(path, columns=columns).drop_duplicates())
     return known
 
 
@@ -224,8 +232,6 @@ class _Seen(NamedTuple):
 def _merge_experiment(
     experiment: str, sources: Sequence[Source], out: Path, *, mixed_machines: bool
 ) -> Merged:
-    from workflows.integrity import sealed
-
     written = Merged(experiment)
     main = _main_machine(sources) if mixed_machines else ""
     machines: dict[str, Found] = {}

@@ -17,6 +17,7 @@ from dcreg.files import whole_file
 from workflows import CHECKOUT, HISTORY, UserError, provenance, records
 from workflows.config import search_next_to
 from workflows.integrals import COLUMNS, integrals
+from workflows.integrity import refuse_damaged
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,8 +59,9 @@ def of_results(folder: Path) -> Record:
 
     Raises
     ------
-    RecordError, SchemaError
+    RecordError, SchemaError, DamagedError
     """
+    refuse_damaged(folder / "tables")
     runs = records.read(folder / "tables" / "runs.parquet", records.runs_columns())
     traces = records.read(folder / "tables" / "traces.parquet", records.TRACES)
     known = json.loads((folder / "tables" / "provenance.json").read_text(encoding="utf-8"))

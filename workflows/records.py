@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from dcreg.files import whole_file
 from workflows import UserError
 from workflows.integrity import sealed_file
 from workflows.outcomes import OUTCOMES
@@ -250,7 +249,7 @@ def write(table: pd.DataFrame, path: Path, *, csv: bool = False) -> None:
     with sealed_file(path) as part:
         table.to_parquet(part, index=False)
     if csv:
-        with whole_file(path.with_suffix(".csv")) as part:
+        with sealed_file(path.with_suffix(".csv")) as part:
             table.to_csv(part, index=False)
 
 

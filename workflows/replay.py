@@ -15,6 +15,7 @@ from baselines.contract import Baseline, Instance, Solution
 from workflows import CHECKOUT, UserError, archives, provenance, records
 from workflows.config import Experiment, load, origin, search_next_to
 from workflows.instances import content_digest
+from workflows.integrity import readable, refuse_damaged
 from workflows.outcomes import ENDED, STARTED
 from workflows.stages.generate import instance_of
 from workflows.stages.plan import Plan, PlannedRun, expand
@@ -179,7 +180,10 @@ def _stored(run_id: str, results: Path) -> Stored | None:
         if row := _row(folder / archives.RUNS, run_id):
             return Stored(row, _json(folder / "experiments" / row["experiment"]))
     for path in sorted(results.glob("**/tables/runs.parquet")):
-        if row := _row(path, run_id):
+        refuse_damaged(path.parent)
+        with readable(path):
+            row = _row(path, run_id)
+        if row:
             return Stored(row, _json(path.parent))
     return None
 

@@ -207,6 +207,17 @@ def _set_aside_damaged(folder: Path) -> None:
         remove_made_from_runs(folder)
 
 
+def set_aside(directory: Path, name: str) -> None:
+    """Set aside the damaged results of experiment `name` below `directory`, before they are read.
+
+    Raises
+    ------
+    BusyError
+    """
+    with the_only_run(directory, name):
+        _set_aside_damaged(directory / "results" / name)
+
+
 def _correct_times(folder: Path) -> None:
     """Give files from the future the present time: Snakemake refuses what is older than its input."""
     now = time.time()

@@ -35,10 +35,12 @@ MEANINGS = {
     "REPEAT.md": "How to repeat and cite the experiments",
     "CITATION.cff": "How to cite the benchmark",
     "forecast.csv": "Forecast and actual CPU time of each block of evidence",
+    "verdicts.csv": "Verdicts on the claims after 1, 2, 4, ... hours of CPU time, by the present rule",
+    "open.csv": "Verdicts on the claims; expected hours of CPU time and obstacle of the open ones",
+    "steps.csv": "Step of evidence, a block or a pilot, in which each run ended",
 }
 ENDINGS = {
     ".times.csv": "Measured times of a method per test and level",
-    ".verdicts.csv": "Verdicts of the claims after 1, 2, 4, ... hours of CPU time",
 }
 
 

@@ -14,7 +14,7 @@ from reports.archive import clouds, read
 from reports.build import build as build_report
 from reports.history import page as history_page
 from workflows.archives import RUNS
-from workflows.blocks import EVIDENCE, FORECASTS
+from workflows.blocks import EVIDENCE, FORECASTS, OPEN_CLAIMS, VERDICTS
 from workflows.outcomes import OUTCOMES
 
 
@@ -56,10 +56,22 @@ def _index(folder: Path, out: Path) -> Path:
             counts={name: found[name] for name in OUTCOMES if name in found},
             clouds=clouds.sentences(facts),
             forecasts=_forecasts(out / EVIDENCE / FORECASTS),
+            verdicts=_rows(out / EVIDENCE / VERDICTS),
+            open_claims=_rows(out / EVIDENCE / OPEN_CLAIMS),
         ),
         encoding="utf-8",
     )
     return page
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a table as texts."""
+    if not path.is_file():
+        return []
+    table = pd.read_csv(path, dtype=str).fillna("")
+    return [
+        {str(name): str(value) for name, value in row.items()} for row in table.to_dict("records")
+    ]
 
 
 def _forecasts(path: Path) -> list[dict[str, Any]]:

@@ -112,15 +112,21 @@ def _restore_one(stored: Path, runs: pd.DataFrame, events: pd.DataFrame, tables:
     runs["status"] = [*map(stated, runs["status"], runs["bound_ratio"])]  # of earlier versions
     records.write(runs, tables / "runs.parquet")
     records.write(records.conform(events, records.TRACES, "traces"), tables / "traces.parquet")
-    accounting(runs).to_csv(tables / "accounting.csv", index=False)
-    shutil.copyfile(stored / "provenance.json", tables / "provenance.json")
+    with sealed_file(tables / "accounting.csv") as part:
+        accounting(runs).to_csv(part, index=False)
+    _copied(stored / "provenance.json", tables / "provenance.json")
     overlays = gzip.decompress((stored / "overlays.json.gz").read_bytes())
-    (tables / "overlays.json").write_bytes(overlays)
+    with sealed_file(tables / "overlays.json") as part:
+        part.write_bytes(overlays)
     if (stored / CLOUDS).is_file():  # earlier archives have none
-        with sealed_file(tables / CLOUDS) as part:
-            shutil.copyfile(stored / CLOUDS, part)
+        _copied(stored / CLOUDS, tables / CLOUDS)
     if (stored / NEEDS).is_file():
-        shutil.copyfile(stored / NEEDS, tables.with_name(NEEDS))
+        _copied(stored / NEEDS, tables.with_name(NEEDS))
+
+
+def _copied(stored: Path, path: Path) -> None:
+    with sealed_file(path) as part:
+        shutil.copyfile(stored, part)
 
 
 def _download(address: str, cache: Path, sha256: str) -> Path:

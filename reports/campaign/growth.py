@@ -1,29 +1,54 @@
-"""How the verdicts changed with the hours of evidence, from the tables of all blocks."""
+"""How the verdicts changed with the hours of evidence: the steps in which runs ended.
+
+The file `STEPS` has a row per run: its ``run_id`` and the number of the step, a block or a pilot, in
+which it ended.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import pandas as pd
 
+from dcreg.files import whole_file
 from reports.campaign.forecast import seconds_of
 from reports.ledger.book import Ledger
 from reports.ledger.evidence import Evidence, plain_name
 from reports.ledger.intervals import NOT_RUN, OPEN
 from reports.ledger.judging import judge
 from reports.tables import Tables
+from workflows.outcomes import NOT_NEEDED
+
+STEPS = "steps.csv"
+# Hours of CPU time after which verdicts are stated; and after all.
+HOURS = 1, 2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128
 
 
-def verdicts(tables: Tables, book: Ledger) -> pd.DataFrame:
-    """Return the verdict on each claim (rows) after 1, 2, 4, … hours of CPU and after all (columns).
+def record(path: Path, run_ids: Iterable[str]) -> None:
+    """Add a step with the runs that ended in it."""
+    known = _read(path)
+    step = int(known["step"].max()) + 1 if len(known) else 0
+    new = pd.DataFrame({"run_id": list(run_ids), "step": step})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as part:
+        pd.concat([known, new]).to_csv(part, index=False)
 
-    Blocks count in the order of their trials; a block that exceeds the hours does not count.
+
+def verdicts(tables: Mapping[str, Tables], steps: Path, book: Ledger) -> pd.DataFrame:
+    """Return the verdict on each claim (rows) after some hours of CPU time and after all (columns).
+
+    The hours are those of all experiments together, at the end of the first step that reaches each of
+    `HOURS`. The present rule judges the runs that had ended then. Runs without a step count as the last.
     """
     columns = {}
-    for hours, part in _parts(tables):
-        found = judge(book, Evidence.of_tables(part), {plain_name(tables.experiment)})
-        columns[round(hours, 2)] = {each.id: each.verdict for each in found}
+    for hours, parts in _parts(tables, _read(steps)):
+        columns[round(hours, 2)] = {
+            each.id: each.verdict
+            for name, part in parts.items()
+            for each in judge(book, Evidence.of_tables(part), {plain_name(name)})
+        }
     table = pd.DataFrame(columns).rename_axis(index="claim", columns="hours")
     return table[(table != NOT_RUN).any(axis=1)]
 
@@ -40,13 +65,30 @@ def changes(table: pd.DataFrame) -> list[str]:
     return found
 
 
-def _parts(tables: Tables) -> Iterator[tuple[float, Tables]]:
-    """Yield the tables of the first blocks with their hours: 1, 2, 4, … and all."""
-    runs = tables.runs
-    spent = seconds_of(runs).groupby(runs["trial"]).sum().cumsum() / 3600.0
-    whole, hours = float(spent.iloc[-1]), 1.0
-    while hours < whole:
-        if len(trials := spent.index[spent <= hours]):
-            yield hours, replace(tables, runs=runs[runs["trial"].isin(trials)])
-        hours *= 2.0
-    yield whole, tables
+def _read(path: Path) -> pd.DataFrame:
+    columns = {"run_id": str, "step": int}
+    return (
+        pd.read_csv(path, dtype=columns) if path.is_file() else pd.DataFrame(columns=list(columns))
+    )
+
+
+def _parts(
+    tables: Mapping[str, Tables], steps: pd.DataFrame
+) -> Iterator[tuple[float, dict[str, Tables]]]:
+    """Yield the tables after the first steps with their hours."""
+    step_of = steps.drop_duplicates("run_id", keep="last").set_index("run_id")["step"]
+    last = int(step_of.max()) + 1 if len(step_of) else 0
+    at = {name: own.runs["run_id"].map(step_of).fillna(last) for name, own in tables.items()}
+    spent = [seconds_of(own.runs).groupby(at[name]).sum() for name, own in tables.items()]
+    hours = pd.concat(spent).groupby(level=0).sum().cumsum() / 3600.0
+    reached = [hours.index[hours >= goal] for goal in HOURS]
+    for step in sorted({each[0] for each in reached if len(each)} | {hours.index[-1]}):
+        yield (
+            float(hours[step]),
+            {
+                name: replace(
+                    own, runs=own.runs[(at[name] <= step) | (own.runs["outcome"] == NOT_NEEDED)]
+                )
+                for name, own in tables.items()
+            },
+        )

@@ -6,10 +6,10 @@ import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from dcreg.files import whole_file
 from reports.campaign.forecast import Forecast, Pair
 from workflows.blocks import Needs
 from workflows.config import ConfigError, Experiment, Selection
+from workflows.integrity import is_damaged, sealed_file
 
 # A pilot precedes a step if the time limits of its unmeasured runs sum to at least this many seconds.
 PILOT_S = 600.0
@@ -44,7 +44,7 @@ def pilots(pairs: list[Pair], experiment: Experiment, needs: Needs) -> Iterator[
 def store(parts: Sequence[Selection], path: Path) -> None:
     """Store pilots before they are begun, so that the next call finishes them."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
+    with sealed_file(path) as file:
         file.write_text(json.dumps([part.model_dump() for part in parts]), encoding="utf-8")
 
 
@@ -57,6 +57,8 @@ def begun(path: Path) -> list[Selection]:
     """
     if not path.is_file():
         return []
+    if is_damaged(path):
+        raise ConfigError(f"{path}: damaged; remove it")
     try:
         return [Selection.model_validate(each) for each in json.loads(path.read_text("utf-8"))]
     except (OSError, ValueError, TypeError) as error:

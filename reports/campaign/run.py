@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import shutil
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -15,10 +16,11 @@ from dcreg.files import whole_file
 from reports.campaign.campaign import Campaign
 from reports.campaign.choice import Option, options
 from reports.campaign.forecast import Forecast, Pair, seconds_of
-from reports.campaign.growth import changes, verdicts
+from reports.campaign.growth import STEPS, changes, record, verdicts
 from reports.campaign.pilot import begun, pilots, store, unmeasured
 from reports.ledger.book import Ledger, ledger
-from workflows.blocks import FORECASTS
+from workflows.archives import folders
+from workflows.blocks import EVIDENCE, FORECASTS, OPEN_CLAIMS, VERDICTS
 from workflows.compose import ConfigError
 from workflows.config import Experiment, Selection, origin
 from workflows.live import View
@@ -50,6 +52,7 @@ def collect(
         _check(name, campaign.experiment)
         campaign.adopt()
         _note_machine(campaign, console)
+    _adopt_logs(out)
     end = time.monotonic() + 3600.0 * hours
     run = functools.partial(_run, end=end, cores=cores, out=out, console=console)
     may_go_on = _finish_blocks(campaigns.values(), run)
@@ -68,16 +71,41 @@ def collect(
             option.needs.write(campaign.needs_path)
             may_go_on = run(campaign, option.claim, option.step)
         ahead = _ahead(book, campaigns)
+    left = [option for _, option in ahead]
+    _write(out, book, campaigns, left, console)
+    return left
+
+
+def _adopt_logs(out: Path) -> None:
+    """Continue the logs of the latest archive, if there are none here."""
+    for name in (FORECASTS, STEPS):
+        stored = [folder / EVIDENCE / name for folder in folders()]
+        stored = [path for path in stored if path.is_file()]
+        if stored and not (out / name).exists():
+            out.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(stored[-1], out / name)
+
+
+def _write(
+    out: Path,
+    book: Ledger,
+    campaigns: dict[str, Campaign],
+    left: Sequence[Option],
+    console: Console,
+) -> None:
+    """Write the times, what open claims need, and the verdicts over time; print the latter two."""
+    out.mkdir(parents=True, exist_ok=True)
     for name, campaign in campaigns.items():
-        out.mkdir(parents=True, exist_ok=True)
         campaign.times().cells.round(4).to_csv(out / f"{name}.times.csv")
-        if (tables := campaign.tables()) is not None:
-            table = verdicts(tables, book)
-            table.to_csv(out / f"{name}.verdicts.csv")
-            for line in changes(table):
-                console.print(f"changed   {line}", soft_wrap=True)
-    _print(console, book, campaigns, [option for _, option in ahead])
-    return [option for _, option in ahead]
+    tables = {name: own for name, each in campaigns.items() if (own := each.tables()) is not None}
+    if tables:
+        table = verdicts(tables, out / STEPS, book)
+        table.to_csv(out / VERDICTS)
+        for line in changes(table):
+            console.print(f"changed   {line}", soft_wrap=True)
+    needs = _needs(book, campaigns, left)
+    needs.to_csv(out / OPEN_CLAIMS, index=False)
+    _print(console, needs, left)
 
 
 def _check(name: str, experiment: Experiment) -> None:
@@ -169,6 +197,7 @@ def _run(
     ended = campaign.ended()
     new = ended[~ended["run_id"].isin(before)]
     actual = float(seconds_of(new).sum())
+    record(out / STEPS, new["run_id"])
     _append(
         out / FORECASTS,
         {
@@ -213,18 +242,28 @@ def _append(path: Path, row: dict[str, object]) -> None:
         pd.concat([*known, pd.DataFrame([row])]).to_csv(part, index=False)
 
 
-def _print(
-    console: Console, book: Ledger, campaigns: dict[str, Campaign], ahead: Sequence[Option]
-) -> None:
-    """Print the verdicts, and what the open claims need."""
-    by_claim = {option.claim: option for option in ahead}
-    table = Table("claim", "verdict", "hours of CPU", "obstacle")
+def _needs(book: Ledger, campaigns: dict[str, Campaign], left: Sequence[Option]) -> pd.DataFrame:
+    """Return verdicts, and of open claims the expected hours of CPU time and the obstacle."""
+    by_claim = {option.claim: option for option in left}
+    rows: list[tuple[str, str, float | None, str]] = []
     for campaign in campaigns.values():
         for found in campaign.judged(book):
-            row = [found.id, found.verdict]
-            if option := by_claim.get(found.id):
-                row += [f"{option.seconds / 3600:.1f}", option.obstacle]
-            table.add_row(*row)
+            option = by_claim.get(found.id)
+            hours = round(option.seconds / 3600.0, 1) if option else None
+            rows.append((found.id, found.verdict, hours, option.obstacle if option else ""))
+    known = {name for name, *_ in rows}
+    for claim in book.claims:
+        if claim.id not in known and not claim.unjudged:
+            command = book.commands[claim.experiment]
+            rows.append((claim.id, "", None, f"outside these experiments: {command}"))
+    return pd.DataFrame(rows, columns=["claim", "verdict", "hours of CPU", "obstacle"])
+
+
+def _print(console: Console, needs: pd.DataFrame, left: Sequence[Option]) -> None:
+    """Print the verdicts, and what the open claims need."""
+    table = Table(*needs.columns)
+    for row in needs.fillna("").astype(str).itertuples(index=False):
+        table.add_row(*row)
     console.print(table)
-    if chosen := next((option for option in ahead if option.helps), None):
+    if chosen := next((option for option in left if option.helps), None):
         console.print(f"next      {chosen.claim}: {chosen.comparison}", soft_wrap=True)

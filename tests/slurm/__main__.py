@@ -11,15 +11,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
 from tests.slurm.cluster import Cluster, SkippedError, check_machine, cluster, install
 from workflows import CHECKOUT, UserError
 from workflows.exact import differences, read
-from workflows.integrity import opened
 from workflows.running import INTERRUPTED, find_profile
+from workflows.studies.kept import Times, finished, lost_and_repeated
 
 NAME = "slurm"
 # 204 runs in six solve jobs, of which pairs share a job of Slurm. The limit on work makes tables equal.
@@ -48,16 +47,6 @@ def say(text: str) -> None:
     print(f"{time.monotonic() - _began:6.0f} s  {text}", flush=True)
 
 
-def journal(folder: Path) -> list[str]:
-    """Return the run_id of every finished run, as often as it was made."""
-    lines = [
-        line
-        for path in sorted((folder / "results" / NAME).glob("runs/*/*.journal.jsonl"))
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
-    ]
-    return [entry["run_id"] for line in lines if (entry := opened(line))]
-
-
 def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "workflows", "run", str(folder.parent / f"{NAME}.yaml")]
     command += ["--directory", str(folder), "--no-report", "--fresh", *arguments]
@@ -80,23 +69,30 @@ def finish(process: subprocess.Popen[str], code: int = 0) -> None:
         raise RuntimeError(f"exit code {process.returncode} instead of {code}:\n{output}")
 
 
-def lose_the_node(running: Cluster, folder: Path) -> None:
-    """Run until a third of the runs is finished, then lose the node and interrupt the call."""
+def lose_the_node(running: Cluster, folder: Path) -> Times:
+    """Run until a third of the runs is finished, then lose the node and interrupt the call.
+
+    Returns
+    -------
+    dict
+        The runs that were finished when the node was lost.
+    """
+    results = folder / "results" / NAME
     process = start(folder, *PROFILES)
     deadline = time.monotonic() + LIMIT_S
-    while len(journal(folder)) < RUNS // 3:
+    while len(finished(results)) < RUNS // 3:
         if process.poll() is not None or time.monotonic() > deadline:
             process.send_signal(signal.SIGINT)
             output, _ = process.communicate()
             raise RuntimeError(
-                f"{len(journal(folder))} runs before the loss of the node:\n{output}"
+                f"{len(finished(results))} runs before the loss of the node:\n{output}"
             )
         time.sleep(0.2)
     jobs = running.kill_node()
-    kept = len(journal(folder))
-    say(f"killed slurmd and {jobs} jobs after {kept} of {RUNS} runs")
+    noted = finished(results)
+    say(f"killed slurmd and {jobs} jobs after {len(noted)} of {RUNS} runs")
     assert jobs
-    assert kept < RUNS
+    assert 0 < len(noted) < RUNS
     running.wait_until_down()
     say("Slurm reported the node as down")
     process.send_signal(signal.SIGINT)
@@ -104,6 +100,7 @@ def lose_the_node(running: Cluster, folder: Path) -> None:
     say("interrupted the run")
     running.start_node()
     say(f"restarted slurmd; jobs left: {running.jobs() or 'none'}")
+    return noted
 
 
 def main() -> None:
@@ -123,14 +120,12 @@ def main() -> None:
         say("finished the local run")
         with cluster() as running:
             say("started the cluster")
-            lose_the_node(running, remote)
+            noted = lose_the_node(running, remote)
             finish(start(remote, *PROFILES))
             say("finished the run on the cluster by the same command")
         expected, found = (read(folder / "results" / NAME) for folder in (local, remote))
         differing = differences(expected, found)
-        times_made = Counter(journal(remote))
-        lost = len(set(expected["run_id"]) - set(times_made))
-        repeated = sum(count - 1 for count in times_made.values())
+        lost, repeated = lost_and_repeated(noted, remote / "results" / NAME)
         say(
             f"{len(found)} runs, {lost} lost, {repeated} repeated, {len(differing.cells)} different "
             "values (times not compared)"

@@ -582,19 +582,38 @@ def test_a_verdict_that_was_taken_back_is_named():
     ]
 
 
-def test_verdicts_are_those_of_the_blocks_that_fit_into_the_hours(monkeypatch):
-    runs = pd.DataFrame(
-        {"experiment": NAME, "trial": [0, 0, 1, 2, 3], "time_solve_s": [1800.0, None, 1800, 3600, 1800],
-         "time_overhead_s": 0.0}
-    )  # fmt: skip
-    tables = Tables(Path(), runs, pd.DataFrame(), {}, [])
-    monkeypatch.setattr(growth.Evidence, "of_tables", lambda part: sorted(set(part.runs["trial"])))
+def test_verdicts_are_those_of_the_runs_that_had_ended(monkeypatch, tmp_path):
+    """The hours of both experiments count together; a run without a step is the last."""
+    steps = tmp_path / growth.STEPS
+    for ended in (["a", "b"], ["c", "d"], [], ["e"]):
+        growth.record(steps, ended)
+    tables = {
+        name: Tables(
+            Path(),
+            pd.DataFrame(
+                {"run_id": list(ids), "outcome": "finished", "time_solve_s": 1800.0,
+                 "time_overhead_s": 0.0}
+            ),
+            pd.DataFrame(), {}, [],
+        )
+        for name, ids in ((NAME, "acf"), (RIGID, "bde"))
+    }  # fmt: skip
+    monkeypatch.setattr(growth.Evidence, "of_tables", lambda part: "".join(part.runs["run_id"]))
     monkeypatch.setattr(
-        growth, "judge", lambda book, seen, names: [Named("a", str(seen)), Named("b", NOT_RUN)]
+        growth, "judge", lambda book, seen, names: [Named(*names, seen), Named("b", NOT_RUN)]
     )
-    table = growth.verdicts(tables, ledger())
+    table = growth.verdicts(tables, steps, ledger())
+    plane, space = plain_name(NAME), plain_name(RIGID)
     assert table.to_dict() == {
-        1.0: {"a": "[0, 1]"},
-        2.0: {"a": "[0, 1, 2]"},
-        2.5: {"a": "[0, 1, 2, 3]"},
+        1.0: {plane: "a", space: "b"},
+        2.0: {plane: "ac", space: "bd"},
+        3.0: {plane: "acf", space: "bde"},
     }
+
+
+def test_what_open_claims_need_is_written(tmp_path):
+    """Also of claims about other experiments."""
+    needs = run._needs(ledger(), {}, [])
+    assert set(needs["claim"]) == {claim.id for claim in ledger().claims if not claim.unjudged}
+    by_claim = needs.set_index("claim")["obstacle"]
+    assert by_claim["flat-7scenes"] == "outside these experiments: make threedmatch"

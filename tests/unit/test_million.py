@@ -20,6 +20,7 @@ from reports.theme import method_styles
 from tests import reference_tables
 from workflows import records
 from workflows.config import load
+from workflows.integrity import SUMS
 from workflows.outcomes import OUTCOMES
 from workflows.stages import aggregate as stage
 from workflows.stages.aggregate import aggregate, join_runs
@@ -187,6 +188,8 @@ def test_all_files_that_the_rule_promises_exist_without_copies_as_csv(plan, fold
     promised = re.findall(r"tables/([\w.]+)", RULE.read_text())
     assert len(promised) == 6
     assert [name for name in promised if name.endswith("csv")] == ["accounting.csv"]
+    sums = (folder / "tables" / SUMS).read_text().splitlines()
+    assert {*promised, "runs.csv", "traces.csv"} == {line.partition("  ")[2] for line in sums}
     kept = {path.name: path.read_bytes() for path in (folder / "tables").iterdir()}
     monkeypatch.setattr(stage, "MOST_CSV_ROWS", 0)
     aggregate(plan, folder)

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from workflows import archives, records
 from workflows.__main__ import app
 from workflows.blocks import Needs
-from workflows.integrity import digest, opened, sealed
+from workflows.integrity import SUMS, DamagedError, digest, opened, sealed
 from workflows.merge import JOURNAL, MergeError, merge
 
 CHECKOUT = Path(__file__).parents[2]
@@ -63,6 +63,12 @@ def results(
     return place
 
 
+def as_tables(*rows: dict[str, object]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The runs and their events."""
+    events = [{"run_id": row["run_id"], **event} for row in rows for event in row["trace"]]
+    return pd.DataFrame(rows).drop(columns="trace"), pd.DataFrame(events)
+
+
 def archive(folder: Path, *rows: dict[str, object]) -> Path:
     """Write an archive of experiment `joined` with these runs of DC-Reg."""
     folder.mkdir()
@@ -73,12 +79,9 @@ def archive(folder: Path, *rows: dict[str, object]) -> Path:
         "baseline": "dcreg",
         "options_effective": "{}",
     }
-    table = pd.DataFrame([{**known, **row} for row in rows]).reindex(columns=columns)
-    table.to_parquet(folder / archives.RUNS)
-    events = [
-        {"experiment": "joined", "run_id": row["run_id"], **e} for row in rows for e in row["trace"]
-    ]
-    pd.DataFrame(events).to_parquet(folder / archives.TRACES)
+    table, events = as_tables(*({**known, **row} for row in rows))
+    table.reindex(columns=columns).to_parquet(folder / archives.RUNS)
+    events.assign(experiment="joined").to_parquet(folder / archives.TRACES)
     facts = {"created": "2026-01-01", "schema_version": records.SCHEMA_VERSION}
     (folder / "archive.json").write_text(json.dumps(facts))
     files = [path for path in folder.iterdir() if path.name != archives.CHECKSUMS]
@@ -224,6 +227,28 @@ def test_a_folder_without_results_is_refused(tmp_path):
         merge([tmp_path / "none"], tmp_path / "out")
     with pytest.raises(MergeError, match="no folder with runs"):
         merge([tmp_path], tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["a.parquet", "a.trace.parquet", "plan.parquet"])
+@pytest.mark.parametrize("is_sealed", [True, False])
+def test_a_damaged_table_of_a_source_is_refused(tmp_path, name, is_sealed):
+    source = results(tmp_path / "a", run(1))
+    runs, events = as_tables(run(2))
+    records.write(runs, source / "runs" / "dcreg" / "a.parquet")
+    records.write(events, source / "runs" / "dcreg" / "a.trace.parquet")
+    (found,) = merge([source], tmp_path / "out")
+    assert found.runs == 2
+    (path,) = source.rglob(name)
+    if not is_sealed:  # as of a copy without hidden files
+        (path.parent / SUMS).unlink()
+    content = path.read_bytes()
+    for end in (0, 1, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:end])
+        with pytest.raises(DamagedError) as raised:
+            merge([source], tmp_path / "other")
+        assert str(raised.value).startswith(f"{path}: {'damaged' if is_sealed else 'cannot be'}")
+    done = CliRunner().invoke(app, ["merge", str(source), "--out", str(tmp_path / "other")])
+    assert (done.exit_code, (tmp_path / "other").exists()) == (2, False)
 
 
 def test_blocks_of_evidence_are_joined(tmp_path):

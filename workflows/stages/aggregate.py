@@ -12,7 +12,6 @@ import numpy as np
 import pandas as pd
 
 from baselines import registry
-from dcreg.files import whole_file
 from dcreg.status import Status
 from workflows import CHECKOUT, attribution, outcomes, provenance, records
 from workflows.installed import why_not_here
@@ -59,7 +58,7 @@ def aggregate(plan: Plan, folder: Path) -> None:
     write(join_runs(plan, folder), out / "runs.parquet")
     write(join_traces(plan, folder), out / "traces.parquet")
     runs = pd.read_parquet(out / "runs.parquet", columns=SHOWN)
-    with whole_file(out / "accounting.csv") as part:
+    with sealed_file(out / "accounting.csv") as part:
         accounting(runs).to_csv(part, index=False)
     _write_json(out / "provenance.json", _provenance(plan, runs))
     _write_json(out / "overlays.json", overlays(plan, folder, runs))
@@ -125,7 +124,7 @@ def write(table: pl.LazyFrame, path: Path) -> None:
     if written.select(pl.len()).collect().item() > MOST_CSV_ROWS:
         copy.unlink(missing_ok=True)
         return
-    with whole_file(copy) as part:
+    with sealed_file(copy) as part:
         written.sink_csv(part)
 
 
@@ -310,5 +309,5 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def _write_json(path: Path, content: Any) -> None:
-    with whole_file(path) as part:
+    with sealed_file(path) as part:
         part.write_text(json.dumps(content, indent=1), encoding="utf-8")

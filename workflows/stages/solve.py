@@ -28,6 +28,7 @@ from workflows.instances import content_digest, read_problems, read_truths, with
 from workflows.integrity import opened, sealed
 from workflows.journal import appending, journalled, key_of
 from workflows.outcomes import stated
+from workflows.stages.kills import Kills
 from workflows.stages.plan import method_identity, run_identity
 from workflows.stages.progress import Reporter
 from workflows.stages.sandbox import Sandbox
@@ -111,7 +112,7 @@ def _rows(
     log = runs_path.with_suffix(".log")
     journal_path = runs_path.with_suffix(".journal.jsonl")
     limits = experiment.limits_of(method)
-    reporter = Reporter(method.name, runs_path)
+    kills, reporter = Kills(runs_path), Reporter(method.name, runs_path)
     with (
         reporter,
         Sandbox(method, limits, log, reporter.alive) as sandbox,
@@ -137,7 +138,11 @@ def _rows(
                 continue
             reporter.begin(instance.instance_id)
             started = sandbox.time_started_s
-            row = {**identity, **_plain(sandbox.solve(instance), _exact_fit(instance))}
+            if reason := kills.reason_against(instance.instance_id):
+                answer = {"status": Status.FAILED, "message": reason}
+            else:
+                answer = sandbox.solve(instance)
+            row = {**identity, **_plain(answer, _exact_fit(instance))}
             waited = time.perf_counter() - since - (sandbox.time_started_s - started)
             if "peak_memory_mb" in row:  # the worker answered; it was not lost
                 row["time_overhead_s"] = waited - row["time_solve_s"]
@@ -146,6 +151,7 @@ def _rows(
                 journal.write(sealed(row) + "\n")
                 journal.flush()
             yield row
+    kills.clear()
     if log.is_file() and not log.stat().st_size:
         log.unlink()
 

@@ -2,7 +2,8 @@
 
 A sweep of at least 500 runs is disturbed at random moments, by one kind of fault after the other, and
 then continued until it is complete. Except for times, its table must equal that of an undisturbed
-sweep; no finished run may be lost or repeated. The study writes ``faults.csv``.
+sweep. Runs that were finished and intact at the fault may not be lost or repeated: see `kept`. The study
+writes ``faults.csv``.
 
 Two faults need privileges, and have a substitute without them. A full disk is a small tmpfs for root, and
 otherwise a limit on the size of files. The clock is not set back: files get times in the future instead,
@@ -20,10 +21,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Annotated
 
@@ -33,9 +34,11 @@ import typer
 
 from workflows import CHECKOUT
 from workflows.exact import differences, read
-from workflows.integrity import opened
+from workflows.integrity import SUFFIXES, SUMS
+from workflows.studies.kept import Times, finished, lost_and_repeated
 
 NAME = "faults"
+UNDISTURBED = "undisturbed"
 CONFIG = """
 name: faults
 chunk_size: 25
@@ -52,7 +55,7 @@ methods:
 """
 RUNS_PER_TRIAL = 12  # shapes, levels and methods
 MOST_TRIES = 10  # sweeps until the table must be complete
-DISK_MB = 1  # of the small disk, less than the results need
+DISK_SHARE = 0.5  # of the size of the undisturbed sweep, which the small disk has
 FILE_KB = 8  # maximum size of a file, without privileges
 
 
@@ -63,7 +66,8 @@ class Sweep:
     folder: Path
     config: Path
     chance: random.Random
-    duration_s: float = 0.0  # of the undisturbed sweep
+    n_runs: int = 0
+    intact: Times = field(default_factory=dict)  # the finished runs at the fault
 
     @property
     def results(self) -> Path:
@@ -77,20 +81,28 @@ class Sweep:
         )  # fmt: skip
 
     def finish(self) -> int:
-        """Continue until the table is complete; return the number of sweeps that this took."""
+        """Continue until the table is complete; return the number of sweeps that this took, or 0."""
         for tried in range(1, MOST_TRIES + 1):
             with self.start() as process:
                 output, _ = process.communicate()
             if process.returncode == 0:
                 return tried
-        raise RuntimeError(f"not complete after {MOST_TRIES} sweeps:\n{output}")
+        print(f"not complete after {MOST_TRIES} sweeps:\n{output}", flush=True)
+        return 0
+
+    def note(self) -> None:
+        """Note the finished runs; of a run noted before, the first execution counts."""
+        self.intact = finished(self.results) | self.intact
 
     def wait(self, process: subprocess.Popen[str]) -> bool:
-        """Wait for a random moment after the first finished runs; return whether the sweep still runs."""
-        while process.poll() is None and not self.journal_lines():
+        """Wait until a random number of runs is finished; return whether the sweep still runs.
+
+        It is at most half of the runs, so that a fault also meets a short sweep at work.
+        """
+        count = self.chance.randint(1, self.n_runs // 2)
+        while process.poll() is None and len(finished(self.results)) < count:
             time.sleep(0.05)
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(timeout=self.chance.uniform(0.0, 0.5 * self.duration_s))
+        self.note()
         return process.poll() is None
 
     def family(self, process: subprocess.Popen[str]) -> list[psutil.Process]:
@@ -108,18 +120,6 @@ class Sweep:
                 if "workflows.stages.worker" in each.cmdline():
                     found.append(each)
         return found
-
-    def journal_lines(self) -> list[str]:
-        return [
-            line
-            for path in sorted(self.results.glob("runs/*/*.journal.jsonl"))
-            for line in path.read_text(encoding="utf-8", errors="replace").splitlines()
-        ]
-
-    def times_made(self) -> Counter[str]:
-        """Return how often each run was finished."""
-        rows = map(opened, self.journal_lines())
-        return Counter(row["run_id"] for row in rows if row)
 
     def table(self) -> pd.DataFrame:
         return read(self.results)
@@ -142,32 +142,17 @@ def crash_worker(sweep: Sweep) -> bool:
 
 
 def kill_snakemake(sweep: Sweep) -> bool:
-    with sweep.start() as process:
-        if struck := sweep.wait(process):
-            for child in sweep.family(process)[1:2]:
-                child.kill()
-        process.communicate()
-    return struck
+    return _stop(sweep, signal.SIGKILL, slice(1, 2))
 
 
 def interrupt(sweep: Sweep) -> bool:
     """Ctrl-C."""
-    with sweep.start() as process:
-        if struck := sweep.wait(process):
-            process.send_signal(signal.SIGINT)
-        process.communicate()
-    return struck
+    return _stop(sweep, signal.SIGINT, slice(0, 1))
 
 
 def restart_machine(sweep: Sweep) -> bool:
     """All processes end at once."""
-    with sweep.start() as process:
-        if struck := sweep.wait(process):
-            for each in sweep.family(process):
-                with suppress(psutil.NoSuchProcess):
-                    each.kill()
-        process.communicate()
-    return struck
+    return _stop(sweep, signal.SIGKILL, slice(None))
 
 
 def start_twice(sweep: Sweep) -> bool:
@@ -184,21 +169,21 @@ def start_twice(sweep: Sweep) -> bool:
 
 
 def truncate_files(sweep: Sweep) -> bool:
-    """Cut off a quarter of the files of runs and instances, among them the last journal."""
+    """Cut off a quarter of the files of an unfinished sweep."""
     interrupt(sweep)
-    for path in (files := _some_files(sweep)):
-        os.truncate(path, sweep.chance.randrange(path.stat().st_size))
-    return bool(files)
+    return _damage(sweep, lambda content, at: content[:at])
 
 
 def corrupt_files(sweep: Sweep) -> bool:
-    """Change a byte of a quarter of the files of runs and instances."""
+    """Change a byte of a quarter of the files of an unfinished sweep."""
     interrupt(sweep)
-    for path in (files := _some_files(sweep)):
-        content = bytearray(path.read_bytes())
-        content[sweep.chance.randrange(len(content))] ^= 0x55
-        path.write_bytes(content)
-    return bool(files)
+    return _damage(sweep, _change_byte)
+
+
+def corrupt_results(sweep: Sweep) -> bool:
+    """Change a byte of a quarter of the files of a finished sweep, which has tables."""
+    sweep.finish()
+    return _damage(sweep, _change_byte)
 
 
 def forbid_writing(sweep: Sweep) -> bool:
@@ -215,16 +200,19 @@ def forbid_writing(sweep: Sweep) -> bool:
     place.unlink()
     if aside.exists():
         aside.rename(place)
+    sweep.note()
     return process.returncode != 0
 
 
 def fill_disk(sweep: Sweep) -> bool:
     """The results do not fit on their disk, until it is enlarged."""
     if os.geteuid() != 0 or not _mounted(sweep):
+        interrupt(sweep)
         limit = FILE_KB * 1024
         allow = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))  # noqa: E731
         with sweep.start(preexec_fn=allow) as process:
             process.communicate()
+        sweep.note()
         return process.returncode != 0
     try:
         with sweep.start() as process:
@@ -235,6 +223,7 @@ def fill_disk(sweep: Sweep) -> bool:
         subprocess.run(["umount", str(sweep.folder)], check=True)
     shutil.copytree(kept, sweep.folder, dirs_exist_ok=True)
     shutil.rmtree(kept)
+    sweep.note()
     return process.returncode != 0
 
 
@@ -252,7 +241,7 @@ FAULTS: dict[str, Callable[[Sweep], bool]] = {
     fault.__name__: fault
     for fault in (
         kill_worker, hang_worker, crash_worker, kill_snakemake, interrupt, restart_machine, start_twice,
-        truncate_files, corrupt_files, forbid_writing, fill_disk, set_clock_back,
+        truncate_files, corrupt_files, corrupt_results, forbid_writing, fill_disk, set_clock_back,
     )
 }  # fmt: skip
 
@@ -268,23 +257,42 @@ def _signal_worker(sweep: Sweep, number: int) -> bool:
     return struck
 
 
-def _some_files(sweep: Sweep) -> list[Path]:
+def _stop(sweep: Sweep, number: int, part: slice) -> bool:
+    """Send a signal to a part of the processes, of which Snakemake is the second."""
+    with sweep.start() as process:
+        if struck := sweep.wait(process):
+            for each in sweep.family(process)[part]:
+                with suppress(psutil.NoSuchProcess):
+                    each.send_signal(number)
+        process.communicate()
+    sweep.note()
+    return struck
+
+
+def _damage(sweep: Sweep, change: Callable[[bytes, int], bytes]) -> bool:
+    """Change a quarter of the files that have checksums, journals and lists of checksums at a byte."""
     files = [
         path
-        for part in ("runs", "instances", "truth")
-        for path in sorted((sweep.results / part).rglob("*"))
-        if path.is_file() and path.suffix in (".parquet", ".npz", ".jsonl") and path.stat().st_size
+        for path in sorted(sweep.results.rglob("*"))
+        if (path.suffix in (*SUFFIXES, ".jsonl") or path.name == SUMS) and path.stat().st_size
     ]
-    return sweep.chance.sample(files, max(1, len(files) // 4))
+    for path in (some := sweep.chance.sample(files, -(-len(files) // 4))):
+        content = path.read_bytes()
+        path.write_bytes(change(content, sweep.chance.randrange(len(content))))
+    sweep.intact = finished(sweep.results)  # only what was damaged may be executed again
+    return bool(some)
+
+
+def _change_byte(content: bytes, at: int) -> bytes:
+    return content[:at] + bytes([content[at] ^ 0x55]) + content[at + 1 :]
 
 
 def _mounted(sweep: Sweep) -> bool:
     """Mount a small disk at the folder of a sweep; return whether that is possible."""
-    done = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "tmpfs", str(sweep.folder)],
-        capture_output=True,
-    )
-    return done.returncode == 0
+    files = sweep.folder.with_name(UNDISTURBED).rglob("*")
+    size = int(DISK_SHARE * sum(path.stat().st_size for path in files if path.is_file()))
+    command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(sweep.folder)]
+    return subprocess.run(command, capture_output=True).returncode == 0
 
 
 # --- the study ---------------------------------------------------------------------------------
@@ -295,33 +303,33 @@ def main(
     runs: Annotated[int, typer.Option(help="minimum number of runs of a sweep")] = 500,
     only: Annotated[list[str] | None, typer.Option(help="faults; default: all")] = None,
     seed: Annotated[int, typer.Option(help="of the random moments")] = 0,
+    moments: Annotated[int, typer.Option(help="random moments for each fault")] = 1,
 ) -> None:
     """Disturb a sweep by every fault; print and store what was lost and repeated."""
-    rows = study(out, runs, only or list(FAULTS), seed)
+    rows = study(out, runs, only or list(FAULTS), seed, moments)
     print(rows.to_string(index=False))
     rows.to_csv(out / "faults.csv", index=False)
-    if not (rows["survived"] & rows["struck"]).all():
+    if not rows["survived"].all():
         raise typer.Exit(1)
 
 
-def study(out: Path, runs: int, names: Sequence[str], seed: int) -> pd.DataFrame:
-    """Return a row for each fault: whether it struck, runs, lost, repeated, differing cells, sweeps."""
+def study(out: Path, runs: int, names: Sequence[str], seed: int, moments: int = 1) -> pd.DataFrame:
+    """Return a row for each fault and moment: whether it was survived, and the counts behind that."""
     out = out.resolve()
     shutil.rmtree(out / "sweeps", ignore_errors=True)
     (out / "sweeps").mkdir(parents=True)
     config = out / f"{NAME}.yaml"
     config.write_text(CONFIG.format(trials=-(-runs // RUNS_PER_TRIAL)), encoding="utf-8")
-    undisturbed = _sweep(out, config, "undisturbed", seed)
-    began = time.monotonic()
-    undisturbed.finish()
-    duration_s = time.monotonic() - began
-    print(f"undisturbed: {len(undisturbed.table())} runs in {duration_s:.0f} s", flush=True)
+    undisturbed = _sweep(out, config, UNDISTURBED, seed)
+    if not undisturbed.finish():
+        raise RuntimeError("the undisturbed sweep is not complete")
+    expected = undisturbed.table()
     rows = []
-    for name in names:
-        sweep = _sweep(out, config, name, seed)
-        sweep.duration_s = duration_s
+    for name, moment in product(names, range(moments)):
+        sweep = _sweep(out, config, f"{name}_{moment}", seed)
+        sweep.n_runs = len(expected)
         struck = FAULTS[name](sweep)
-        rows.append(_row(name, struck, sweep, sweep.finish(), undisturbed.table()))
+        rows.append(_row(name, struck, sweep, sweep.finish(), expected))
         print(rows[-1], flush=True)
     return pd.DataFrame(rows)
 
@@ -335,14 +343,16 @@ def _sweep(out: Path, config: Path, name: str, seed: int) -> Sweep:
 def _row(
     name: str, struck: bool, sweep: Sweep, sweeps: int, expected: pd.DataFrame
 ) -> dict[str, object]:
-    table = sweep.table()
-    lost = len(set(expected["run_id"]) - set(table["run_id"]))
-    found = differences(expected, table)
-    repeated = sum(count - 1 for count in sweep.times_made().values())
+    """Return the row of a fault; one that met no finished run proves nothing, so it is not survived."""
+    lost, repeated = lost_and_repeated(sweep.intact, sweep.results)
+    table = sweep.table() if sweeps else expected.head(0)
+    missing = len(expected.index.difference(table.index))
+    different = len(differences(expected, table).cells) if sweeps else 0
+    proves = struck and bool(sweep.intact)
     return {
-        "fault": name, "struck": struck, "runs": len(table), "lost": lost, "repeated": repeated,
-        "different": len(found.cells), "sweeps": 1 + sweeps,
-        "survived": not (lost or repeated or len(found.cells)),
+        "fault": name, "survived": proves and not (lost or repeated or different or missing),
+        "lost": lost, "repeated": repeated, "different": different, "intact_at_fault": len(sweep.intact),
+        "runs": len(table), "struck": struck, "sweeps": 1 + sweeps,
     }  # fmt: skip
 
 
