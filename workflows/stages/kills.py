@@ -15,7 +15,9 @@ from dcreg.files import whole_file
 from workflows.stages.progress import SUFFIX
 
 MOST_KILLS = 2  # a run is tried again once
-REASON = "its job was killed {} times during this run (from outside, out of memory, or with its machine)"
+REASON = (
+    "its job was killed {} times during this run (from outside, out of memory, or with its machine)"
+)
 
 
 class Kills:
