@@ -50,6 +50,7 @@ def verdicts(tables: Mapping[str, Tables], steps: Path, book: Ledger) -> pd.Data
             for each in judge(book, Evidence.of_tables(part), {plain_name(name)})
         }
     table = pd.DataFrame(columns).rename_axis(index="claim", columns="hours")
+    table = table.fillna(NOT_RUN)  # no run of the experiment had ended
     return table[(table != NOT_RUN).any(axis=1)]
 
 
@@ -83,12 +84,10 @@ def _parts(
     hours = pd.concat(spent).groupby(level=0).sum().cumsum() / 3600.0
     reached = [hours.index[hours >= goal] for goal in HOURS]
     for step in sorted({each[0] for each in reached if len(each)} | {hours.index[-1]}):
-        yield (
-            float(hours[step]),
-            {
-                name: replace(
-                    own, runs=own.runs[(at[name] <= step) | (own.runs["outcome"] == NOT_NEEDED)]
-                )
-                for name, own in tables.items()
-            },
-        )
+        parts = {}
+        for name, own in tables.items():
+            has_ended = (at[name] <= step) & (own.runs["outcome"] != NOT_NEEDED)
+            if has_ended.any():
+                kept = has_ended | (own.runs["outcome"] == NOT_NEEDED)
+                parts[name] = replace(own, runs=own.runs[kept])
+        yield float(hours[step]), parts

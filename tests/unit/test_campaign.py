@@ -585,7 +585,7 @@ def test_a_verdict_that_was_taken_back_is_named():
 def test_verdicts_are_those_of_the_runs_that_had_ended(monkeypatch, tmp_path):
     """The hours of both experiments count together; a run without a step is the last."""
     steps = tmp_path / growth.STEPS
-    for ended in (["a", "b"], ["c", "d"], [], ["e"]):
+    for ended in (["a", "c"], ["b", "d"], [], ["e"]):
         growth.record(steps, ended)
     tables = {
         name: Tables(
@@ -605,7 +605,7 @@ def test_verdicts_are_those_of_the_runs_that_had_ended(monkeypatch, tmp_path):
     table = growth.verdicts(tables, steps, ledger())
     plane, space = plain_name(NAME), plain_name(RIGID)
     assert table.to_dict() == {
-        1.0: {plane: "a", space: "b"},
+        1.0: {plane: "ac", space: NOT_RUN},
         2.0: {plane: "ac", space: "bd"},
         3.0: {plane: "acf", space: "bde"},
     }
