@@ -13,6 +13,7 @@ from reports import claims, paper_page, templating
 from reports.archive import clouds, read
 from reports.build import build as build_report
 from reports.history import page as history_page
+from reports.ledger.intervals import NOT_RUN, OPEN
 from workflows.archives import RUNS
 from workflows.blocks import EVIDENCE, FORECASTS, OPEN_CLAIMS, VERDICTS
 from workflows.outcomes import OUTCOMES
@@ -57,7 +58,7 @@ def _index(folder: Path, out: Path) -> Path:
             clouds=clouds.sentences(facts),
             forecasts=_forecasts(out / EVIDENCE / FORECASTS),
             verdicts=_rows(out / EVIDENCE / VERDICTS),
-            open_claims=_rows(out / EVIDENCE / OPEN_CLAIMS),
+            open_claims=_open(out),
         ),
         encoding="utf-8",
     )
@@ -72,6 +73,14 @@ def _rows(path: Path) -> list[dict[str, str]]:
     return [
         {str(name): str(value) for name, value in row.items()} for row in table.to_dict("records")
     ]
+
+
+def _open(out: Path) -> list[dict[str, str]]:
+    """Return what the claims need that the archive leaves open."""
+    path = out / "claims" / "claims.csv"
+    judged = {row["id"]: row["verdict"] for row in _rows(path)}
+    rows = [row | {"verdict": judged[row["claim"]]} for row in _rows(out / EVIDENCE / OPEN_CLAIMS)]
+    return [row for row in rows if row["verdict"] in (OPEN, NOT_RUN)]
 
 
 def _forecasts(path: Path) -> list[dict[str, Any]]:

@@ -396,6 +396,22 @@ def test_no_run_is_taken_from_a_damaged_archive(archive, tmp_path, monkeypatch):
         archived("dcreg")
 
 
+def test_the_page_states_what_open_claims_need_only(tmp_path):
+    (tmp_path / "claims").mkdir()
+    (tmp_path / "evidence").mkdir()
+    judged = {"faster": "open", "tighter-bnb": "reproduced", "low-overlap": "not run"}
+    pd.DataFrame(judged.items(), columns=["id", "verdict"]).to_csv(
+        tmp_path / "claims" / "claims.csv"
+    )
+    needs = pd.DataFrame(
+        {"claim": list(judged), "verdict": ["open", None, None], "hours of CPU": [2.5, None, None],
+         "obstacle": ["", "make bounds", "make threedmatch"]}
+    )  # fmt: skip
+    needs.to_csv(tmp_path / "evidence" / "open.csv", index=False)
+    found = [(row["claim"], row["verdict"], row["obstacle"]) for row in pages._open(tmp_path)]
+    assert found == [("faster", "open", ""), ("low-overlap", "not run", "make threedmatch")]
+
+
 def test_forecast_and_actual_time_of_evidence_are_archived_and_shown(results, tmp_path):
     own = _copy(results, tmp_path / "results")
     (own / "evidence").mkdir()
