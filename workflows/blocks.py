@@ -41,7 +41,9 @@ class Needs:
         ConfigError
         """
         if path.is_file() and is_damaged(path):
-            raise ConfigError(f"{path}: damaged, its SHA-256 is not that in {SUMS}; remove it")
+            raise ConfigError(
+                f"{path}: damaged, its SHA-256 differs from that in {SUMS}; remove it"
+            )
         try:
             return cls(_checked(json.loads(path.read_text(encoding="utf-8"))))
         except (OSError, ValueError) as error:

@@ -14,10 +14,10 @@ from workflows import UserError
 
 DAMAGED = ".damaged"  # suffix of a file that was set aside
 SUMS = ".checksums"  # file of a folder; for each name, its last line counts
-SUFFIXES = (".npz", ".parquet")  # such a file is damaged if it has no checksum
+SUFFIXES = (".npz", ".parquet")  # `set_aside_damaged` renames these also without a checksum
 REMEDY = (
-    "copy it again, or repeat the command that made it, which sets it aside and makes it again: "
-    "`python -m workflows run EXPERIMENT`, for collected evidence `python -m reports evidence`"
+    "copy the file again, or compute it again with `python -m workflows run EXPERIMENT` (evidence: "
+    "`make evidence`)"
 )
 _LENGTH = 16  # hexadecimal digits of the checksum of a line
 
@@ -61,25 +61,25 @@ def set_aside_damaged(folder: Path) -> list[Path]:
 
 
 def refuse_damaged(folder: Path) -> None:
-    """Refuse a folder with a damaged file; a file without a checksum counts as intact.
+    """Refuse a folder with a file that differs from its checksum; files without one are accepted.
 
     Raises
     ------
     DamagedError
     """
     for path in _damaged_in(folder):
-        raise DamagedError(f"{path}: damaged, its SHA-256 is not that in {SUMS}; {REMEDY}")
+        raise DamagedError(f"{path}: damaged, its SHA-256 differs from that in {SUMS}; {REMEDY}")
 
 
 def is_damaged(path: Path) -> bool:
-    """Tell whether a file differs from its checksum, if it has one."""
+    """Tell whether a file has a checksum and differs from it."""
     checksum = _checksums(path.parent).get(path.name)
     return checksum is not None and digest(path) != checksum
 
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Turn what other libraries raise for a damaged file without a checksum into `DamagedError`."""
+    """Convert what other libraries raise for a damaged file without a checksum into `DamagedError`."""
     try:
         yield
     except (UserError, MemoryError):

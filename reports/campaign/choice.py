@@ -212,7 +212,7 @@ def _opened(comparison: Comparison, own: Sequence[Decided], state: _State) -> _O
     blocks, obstacle = min(found, key=lambda each: (bool(each[1]), each[0]))
     left = state.left(comparison)
     if not obstacle and blocks > left:
-        obstacle = f"a decision needs about {blocks} more blocks, but the config has {left}"
+        obstacle = f"a decision needs about {blocks} more blocks; only {left} remain in the config"
     block = state.times.of_runs(state.ahead({comparison: 1})[1])
     return _Open(comparison, block, blocks, obstacle, bool(refuting))
 

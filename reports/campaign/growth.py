@@ -1,4 +1,4 @@
-"""How the verdicts changed with the hours of evidence: the steps in which runs ended.
+"""Verdicts as a function of the CPU time spent, from the step in which each run ended.
 
 The file `STEPS` has a row per run: its ``run_id`` and the number of the step, a block or a pilot, in
 which it ended.
@@ -22,7 +22,7 @@ from reports.tables import Tables
 from workflows.outcomes import NOT_NEEDED
 
 STEPS = "steps.csv"
-# Hours of CPU time after which verdicts are stated; and after all.
+# Hours of CPU time at which verdicts are listed, in addition to the final ones.
 HOURS = 1, 2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128
 
 
@@ -40,7 +40,8 @@ def verdicts(tables: Mapping[str, Tables], steps: Path, book: Ledger) -> pd.Data
     """Return the verdict on each claim (rows) after some hours of CPU time and after all (columns).
 
     The hours are those of all experiments together, at the end of the first step that reaches each of
-    `HOURS`. The present rule judges the runs that had ended then. Runs without a step count as the last.
+    `HOURS`. The present rule judges the runs that had ended then. Runs without a
+    recorded step form one last step.
     """
     columns = {}
     for hours, parts in _parts(tables, _read(steps)):
@@ -76,7 +77,7 @@ def _read(path: Path) -> pd.DataFrame:
 def _parts(
     tables: Mapping[str, Tables], steps: pd.DataFrame
 ) -> Iterator[tuple[float, dict[str, Tables]]]:
-    """Yield the tables after the first steps with their hours."""
+    """Yield the hours of CPU time and the tables at each listed step."""
     step_of = steps.drop_duplicates("run_id", keep="last").set_index("run_id")["step"]
     last = int(step_of.max()) + 1 if len(step_of) else 0
     at = {name: own.runs["run_id"].map(step_of).fillna(last) for name, own in tables.items()}

@@ -262,7 +262,7 @@ def test_a_claim_that_needs_more_trials_than_there_are_has_an_obstacle(unseen):
     judged = judge(ledger(), Evidence({}, {}), {plain_name(NAME)})
     plan = expand(EXPERIMENT, None, NAME, unseen[0].needs)
     found = options(ledger(), judged, plan, times(), 1)
-    obstacle = "a decision needs about 10 more blocks, but the config has 1"
+    obstacle = "a decision needs about 10 more blocks; only 1 remain in the config"
     assert any(option.obstacle == obstacle for option in found)
     assert bool(found[-1].obstacle)
 

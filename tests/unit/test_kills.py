@@ -62,7 +62,7 @@ def test_a_run_that_was_killed_twice_has_failed_with_its_reason(job):
     kill(runs, first)
     kill(runs, second)
     found = run()
-    assert found[first].startswith("failed: its job was killed 2 times during this run")
+    assert found[first].startswith("failed: the job was killed 2 times during this run")
     assert found[second] == "converged: "
     assert forget(runs.parents[1], {"failed"}) == 1
     assert run()[first] == "converged: "

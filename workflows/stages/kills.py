@@ -1,7 +1,7 @@
-"""Runs during which their whole job was killed: from outside, for lack of memory, or with its machine.
+"""Count how often solve jobs were killed during a run.
 
-A job that ends by itself removes its file of progress (`workflows.stages.progress`). The next job of the
-same chunk finds one only if the last job was killed; it names the instance that was being solved.
+A job deletes its file of progress (`workflows.stages.progress`) when it ends by itself. A file left
+behind shows that the job was killed, and names the instance that it solved, up to a second earlier.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from workflows.stages.progress import SUFFIX
 
 MOST_KILLS = 2  # a run is tried again once
 REASON = (
-    "its job was killed {} times during this run (from outside, out of memory, or with its machine)"
+    "the job was killed {} times during this run, by a signal, for lack of memory or by a stop of the "
+    "machine"
 )
 
 
 class Kills:
-    """How often the jobs of a chunk were killed, per instance; `path` is removed when all runs ended."""
+    """How often the jobs of a chunk were killed, per instance."""
 
     def __init__(self, runs_path: Path) -> None:
         self.path = runs_path.with_suffix(".kills.json")
@@ -37,17 +38,17 @@ class Kills:
             part.write_text(json.dumps(self._counts), encoding="utf-8")
 
     def reason_against(self, instance_id: str) -> str:
-        """Return why a run is not tried again; empty if it is."""
+        """Return why a run is not tried again, or an empty string if it is."""
         count = self._counts.get(instance_id, 0)
         return REASON.format(count) if count >= MOST_KILLS else ""
 
     def clear(self) -> None:
-        """Forget everything: all runs of the chunk have a result."""
+        """Delete the counts, because all runs of the chunk have a result."""
         self.path.unlink(missing_ok=True)
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """Return the content of a small file; nothing if it is missing or damaged."""
+    """Return the content of a small file; an empty dictionary if it is missing or damaged."""
     with suppress(OSError, ValueError):
         found = json.loads(path.read_text(encoding="utf-8"))
         return found if isinstance(found, dict) else {}

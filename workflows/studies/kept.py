@@ -1,8 +1,8 @@
 """Which finished runs a disturbed experiment lost or repeated.
 
-The final table cannot tell: a continued experiment ends only with a complete one, so results that were
-deleted are there again. Therefore the finished runs are noted at the disturbance, and compared later. The
-times of a run, which never agree to the last digit, tell one execution from another.
+The final table does not show losses, because a continued experiment computes missing runs again. So the
+finished runs are noted when a fault strikes, and compared with the final results. Two executions of a run
+differ in their time, which practically never agrees to the last digit.
 """
 
 from __future__ import annotations
