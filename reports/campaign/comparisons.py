@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -103,7 +103,7 @@ def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
         for method in plan.methods if runs_here(method)
     ]  # fmt: skip
     first = planned.first_block([entry.model_dump() for entry in plan.experiment.datasets])
-    found, blocks = [], []
+    drafts = []
     for at, check in enumerate(claim.checks):
         if check.get("shown_only"):
             continue
@@ -111,20 +111,22 @@ def comparisons(book: Ledger, claim: Claim, plan: Plan) -> list[Comparison]:
         for block, roles in product(_by_test(check, compared), planned.roles(check)):
             filled = [methods_in(book.roles[role], settings) for role in roles]
             if all(filled):
-                found.append(_comparison(at, check, block, filled))
-                blocks.append(block)
+                figures = tuple(planned.comparisons(check, block, filled))
+                drafts.append((at, check, block, filled, figures))
     # Holm's correction tests the smallest p-value at this level
-    level = LEVEL / max(1, sum(figure.number for each in found for figure in each.figures))
-    return [
-        replace(each, least=_least(claim.checks[each.check], block, level))
-        for each, block in zip(found, blocks, strict=True)
-    ]
+    level = LEVEL / max(1, sum(figure.number for *_, figures in drafts for figure in figures))
+    return [_comparison(*draft, level) for draft in drafts]
 
 
 def _comparison(
-    at: int, check: Mapping[str, Any], block: pd.DataFrame, filled: Sequence[Sequence[str]]
+    at: int,
+    check: Mapping[str, Any],
+    block: pd.DataFrame,
+    filled: Sequence[Sequence[str]],
+    figures: tuple[Planned, ...],
+    level: float,
 ) -> Comparison:
-    """Return a comparison, so far without its `least`."""
+    """Return the comparison of the methods of some roles on the instances of a block."""
     tests = tuple(
         (str(test), tuple(sorted(map(float, levels.unique()))))
         for test, levels in block.groupby("test", sort=False)["level"]
@@ -134,8 +136,8 @@ def _comparison(
         any_is_enough=bool(check.get("any")),
         tests=tests,
         methods=tuple(dict.fromkeys(name for each in filled for name in each)),
-        figures=tuple(planned.comparisons(check, block, filled)),
-        least=1,
+        figures=figures,
+        least=_least(check, block, level),
     )
 
 

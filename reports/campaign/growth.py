@@ -1,7 +1,7 @@
 """Verdicts as a function of the CPU time spent, from the step in which each run ended.
 
 The file `STEPS` has a row per run: its ``run_id`` and the number of the step, a block or a pilot, in
-which it ended.
+which it ended. A run taken from an archive may be listed again; its first step counts.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _parts(
     tables: Mapping[str, Tables], steps: pd.DataFrame
 ) -> Iterator[tuple[float, dict[str, Tables]]]:
     """Yield the hours of CPU time and the tables at each listed step."""
-    step_of = steps.drop_duplicates("run_id", keep="last").set_index("run_id")["step"]
+    step_of = steps.drop_duplicates("run_id").set_index("run_id")["step"]
     last = int(step_of.max()) + 1 if len(step_of) else 0
     at = {name: own.runs["run_id"].map(step_of).fillna(last) for name, own in tables.items()}
     spent = [seconds_of(own.runs).groupby(at[name]).sum() for name, own in tables.items()]

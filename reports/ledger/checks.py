@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 
 from reports.ledger import intervals
+from reports.ledger.evidence import SHARED
 from reports.ledger.finding import (
     LEAST,
-    SHARED,
     WORK,
     Finding,
     Parameters,

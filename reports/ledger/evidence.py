@@ -20,6 +20,8 @@ from workflows.blocks import EVIDENCE
 from workflows.compose import QUICK
 from workflows.outcomes import attempted, main_machine
 
+SHARED = ["dataset", "shape", "trial"]  # identify the same trial at different levels
+TRIAL = [*SHARED, "test"]  # identify the instances that share a pose: a trial
 STUDY = "bounds"  # has no planned runs: its tables are next to those of the experiments
 _TIER = re.compile(rf"-(\d+)(?:{QUICK})?$")  # experiments with another number of points
 # Long texts of runs that no check reads.
@@ -183,7 +185,7 @@ def methods_in(
 
 def _units(runs: pd.DataFrame, source: pd.Series) -> pd.Series:
     """Return what is independent: the trials, whose instances share a pose; of scans, the instances."""
-    trials = runs.groupby(["dataset", "shape", "test", "trial"], sort=False).ngroup()
+    trials = runs.groupby(TRIAL, sort=False).ngroup()
     pairs = pd.Series(-1 - pd.factorize(runs["instance_id"])[0], runs.index)
     return trials.where(source == "", pairs)
 

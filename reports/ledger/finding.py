@@ -32,8 +32,6 @@ MORE_TIME = {"success": ("rises", 0.0), "search_error": ("falls", 1.0)}
 FEWER_POINTS = "searches of fewer points than in the whole experiment take less time"
 # Quantity -> the least that it can be (`Experiment.runs`), and whether a limit cut it.
 LEAST = {"time": "translation_time"}
-SHARED = ["dataset", "shape", "trial"]  # identify the same trial at different levels
-TRIAL = [*SHARED, "test"]  # identify the instances that share a pose: a trial
 CUT = {"translation_time": "translation_limited", "translation_nodes": "translation_limited"}
 OF_RIVAL = ("limited", "gap_tol", "translation_limited", "translation_time", "parallel_jobs")
 TIMES = ("time", "translation_time")

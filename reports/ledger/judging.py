@@ -247,12 +247,12 @@ def _counted(every: list[Row]) -> str:
         texts = {
             REPRODUCED: "value and interval lie on the claimed side",
             NOT: "value and interval lie on the other side",
-            OPEN: row.instances,
+            OPEN: row.open_because,
         }
         return texts[row.verdict]
     shown = [f"{counts[name]} {name}" for name in (REPRODUCED, NOT, OPEN) if counts[name]]
     text = f"{len(every)} comparisons with a rival or threshold: {', '.join(shown)}"
-    needs = list(dict.fromkeys(row.instances for row in every if row.instances))
+    needs = list(dict.fromkeys(row.open_because for row in every if row.open_because))
     return text + (f" ({needs[0]}{'; others: see the table' * (len(needs) > 1)})" if needs else "")
 
 

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from reports.ledger.evidence import SHARED, TRIAL
 from reports.ledger.finding import (
     CHECKS,
-    SHARED,
-    TRIAL,
     Cells,
     Parameters,
     Part,

@@ -106,7 +106,7 @@ class Row:
         return f"{self.limited} of {len(self.runs)}" if self.runs else ""
 
     @property
-    def instances(self) -> str:
+    def open_because(self) -> str:
         """Why the row is open, and how many trials a decision needs; empty if it is decided."""
         reasons = [d for d in self.decided if d.verdict == OPEN]
         if self.verdict != OPEN:
@@ -238,11 +238,11 @@ def _shown(estimate: intervals.Estimate, level: float) -> str:
 def _most_lacking(lacking: Sequence[Decided]) -> str:
     """Return how many trials the comparison has that needs most of them, and how many it needs."""
     most = max(lacking, key=lambda each: (each.needed is None, each.needed or each.least))
-    has, needed, least = most.part.estimate.n, most.needed, most.least
-    if needed is None:
-        number = f"an unknown number, at least {least}"
-    elif needed >= intervals.MOST_NEEDED:
-        number = f"more than {intervals.MOST_NEEDED:,}"
-    else:
-        number = f"about {needed:,}" if needed > least else f"{needed}"
-    return f"has {has} trials, needs {number}".replace(",", "\u202f").replace("\u202f ", ", ")
+    number = f"{min(most.needed or most.least, intervals.MOST_NEEDED):,}".replace(",", "\u202f")
+    if most.needed is None:
+        number = f"an unknown number, at least {number}"
+    elif most.needed >= intervals.MOST_NEEDED:
+        number = f"more than {number}"
+    elif most.needed > most.least:
+        number = f"about {number}"
+    return f"has {most.part.estimate.n} trials, needs {number}"

@@ -583,9 +583,9 @@ def test_a_verdict_that_was_taken_back_is_named():
 
 
 def test_verdicts_are_those_of_the_runs_that_had_ended(monkeypatch, tmp_path):
-    """The hours of both experiments count together; a run without a step is the last."""
+    """The hours of both experiments count together; the first step of a run counts, or else the last."""
     steps = tmp_path / growth.STEPS
-    for ended in (["a", "c"], ["b", "d"], [], ["e"]):
+    for ended in (["a", "c"], ["b", "d"], [], ["e", "a"]):
         growth.record(steps, ended)
     tables = {
         name: Tables(
@@ -611,8 +611,7 @@ def test_verdicts_are_those_of_the_runs_that_had_ended(monkeypatch, tmp_path):
     }
 
 
-def test_what_open_claims_need_is_written(tmp_path):
-    """Also of claims about other experiments."""
+def test_claims_about_other_experiments_name_their_command():
     needs = run._needs(ledger(), {}, [])
     assert set(needs["claim"]) == {claim.id for claim in ledger().claims if not claim.unjudged}
     by_claim = needs.set_index("claim")["obstacle"]

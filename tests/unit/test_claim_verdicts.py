@@ -246,7 +246,7 @@ def test_answers_at_the_limit_count_in_full_experiments_and_the_limit_is_named()
     )
     quick = judged(evidence(runs_of("paper"), rival, name="paper2d-quick"), RATIO)
     assert quick.verdict == OPEN
-    assert "full experiment" in quick.rows[0].instances
+    assert "full experiment" in quick.rows[0].open_because
     assert quick.command == "make paper-2d QUICK=1"
 
 
@@ -401,7 +401,7 @@ def test_methods_that_differ_by_a_choice_of_ours_must_agree(fits, poses, verdict
     assert found.verdict == verdict
     assert {row.rival for row in found.rows} == {"rival", "pose"}
     needs = "not all variants of RPM-HTB agree (incumbents)"
-    assert all((needs in row.instances) == (verdict == OPEN) for row in found.rows)
+    assert all((needs in row.open_because) == (verdict == OPEN) for row in found.rows)
     of_rivals = {**VALUE, "methods": ["rpm_htb"], "claimed": {"above": 0.05}}
     assert judged(evidence(*tables), of_rivals, choices=True).verdict == verdict
 

@@ -79,7 +79,7 @@ def test_no_quick_part_refutes_a_claim_by_few_instances_or_by_a_limit(claim, tmp
     assert all(row.verdict == OPEN for row in found.rows)
     if found.verdict == OPEN:
         assert "hit a limit" in found.reason
-        assert any("full experiment" in row.instances for row in found.rows)
+        assert any("full experiment" in row.open_because for row in found.rows)
 
 
 # --- the ledger itself -----------------------------------------------------------------------------
