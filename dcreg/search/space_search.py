@@ -25,8 +25,9 @@ COVER_SHARE = 0.8  # share of the time left that one call of `Cover.confine` may
 UNLIMITED_S = 120.0  # time left that is assumed without a limit, and at most
 # Nominal seconds (see `Cover.confine`) of a call if boxes or assignments are limited.
 COUNTED_S = 5.0
-# Share of the nominal seconds that boxes alone are expected to take that one call may take.
-WORTH = 0.75
+# Share of the nominal seconds that boxes alone are expected to take that one call may take: for the whole
+# cutoff, and for a smaller share of it, which only raises the lower bound until boxes alone end in time.
+WORTH, PREVIEW = 0.4, 0.1
 
 
 class Searchable(Protocol):
@@ -147,6 +148,7 @@ def minimise(
         Start(*start), Leaves() if keep_leaves else None,
         Confined(Boxes.of(bound.roots), np.inf),
     )  # fmt: skip
+    search.worth_at_first = space.worth_refining
     search.worth_refining = space.worth_refining(search.upper_bound)
     course = Course(space, search, is_cut=resumed is None and budget.is_over)
     if resumed is not None:
@@ -227,7 +229,8 @@ def _with_cover(course: Course, cover: Cover, patience_s: float | None) -> Outco
         tolerance = _share_of(search.tolerance, share)
         is_open = tolerance.cutoff(search.upper_bound) > search.floor
         if course.part is None and is_open and share < course.too_large:
-            allowed_s = min(_allowed_s(search, cover, patience_s), WORTH * search_s)
+            worth = PREVIEW if is_soon and share < 1.0 else WORTH
+            allowed_s = min(_allowed_s(search, cover, patience_s), worth * search_s)
             confined = _confined(search, cover, tolerance.cutoff(search.upper_bound), allowed_s)
             course.proven = cover.proven
             if confined is not None:

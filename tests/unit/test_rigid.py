@@ -8,11 +8,12 @@ from data import registry
 from dcreg.assignment.objective import objective
 from dcreg.driver.modes import find_mode, run_mode
 from dcreg.families.rigid3d import vertex_values
+from dcreg.families.rigid3d.bound import RigidBound
 from dcreg.families.rigid3d.kernels.vertices import bound_vertices_by_duals
 from dcreg.families.rigid3d.space import FEW_DESCENTS, Rigid3D
 from dcreg.families.rigid3d.starts import ALIKE
 from dcreg.problem.geometry import fit_pose
-from dcreg.search import Budget
+from dcreg.search import Boxes, Budget
 from dcreg.status import Status
 from tests.fuzz import reference
 from tests.problems import KINDS, cloud, register
@@ -148,6 +149,24 @@ def test_few_exact_assignments_are_solved_for_large_clouds(rng):
     result = search_rigid(source, target, 450, gap_tol=1e-3, nodes=6000)
     assert result.status is Status.NODE_LIMIT
     assert result.n_assignments < result.n_nodes / 40
+
+
+@pytest.mark.parametrize(("solved", "pruned", "fewer"), [(400, 200, False), (400, 20, True)])
+def test_assignments_that_prune_little_are_solved_for_the_smallest_boxes_only(
+    solved, pruned, fewer, rng
+):
+    source, target, _ = planted(rng, 60, 0.05)
+    space = Rigid3D(source, target, 60)
+    theta, value, _ = space.start(Budget())
+    theta = space.normalised(theta)
+    sizes = np.geomspace(1e-4, 0.3, 40)[:, None] * (np.abs(theta) != 1.0)  # within its facet
+    boxes = Boxes(theta - sizes, theta + sizes)
+    bound, always = RigidBound(space), RigidBound(space)
+    bound.restore({**bound.state(), "solved": (solved, pruned)})
+    for each in (bound, always):
+        each.evaluate(boxes, 1.01 * value)
+    assert (bound.n_assignments < 0.8 * always.n_assignments) == fewer
+    assert bound.state()["solved"][0] > solved  # the smallest boxes need them
 
 
 def test_duplicates_that_nearest_neighbours_cannot_tell(rng):

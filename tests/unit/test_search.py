@@ -14,7 +14,7 @@ from dcreg.search import (
     branch_and_bound,
     space_search,
 )
-from dcreg.search.branch_and_bound import Search, Start
+from dcreg.search.branch_and_bound import REFINING_PATIENCE, Search, Start
 from dcreg.search.prospect import N_DESCENTS, Prospect
 from dcreg.status import Status
 
@@ -269,6 +269,22 @@ def test_local_searches_and_the_estimate_are_set_aside(set_clock, monkeypatch):
     assert spent_s == search.budget.elapsed() - search.patience_began >= not_bounding_s
 
 
+def test_a_local_search_that_finds_nothing_does_not_make_the_next_one_likelier():
+    """In a search of 400 points in 3D, they took a quarter of the time."""
+    search, begun = paused_search(), []
+
+    def refine(theta):
+        begun.append(float(Ripples().value(theta[None])[0]))
+        return theta, np.inf, 0
+
+    search.refine, search.worth_at_first = refine, lambda value: 0.5 * value
+    search.worth_refining = np.inf
+    search.run(search.n_nodes + 1)
+    assert len(begun) == 1
+    assert search.worth_refining == pytest.approx(0.5 * search.upper_bound * REFINING_PATIENCE)
+    assert search.worth_refining < begun[0]
+
+
 class SlowRipples(Ripples):
     """Takes a second for each call."""
 
@@ -370,6 +386,18 @@ def test_a_cover_may_take_a_part_of_the_time_that_boxes_take(box_s, asked, monke
     space_search._with_cover(space_search.Course(None, paused), cover, None)
     most = [space_search.WORTH * 5000.0 * box_s, space_search.COVER_SHARE * 100.0]
     assert cover.allowed == pytest.approx([min(most)] * asked, rel=0.01)
+
+
+def test_a_share_may_take_less_time_if_boxes_alone_prove_the_whole(monkeypatch):
+    """It only raises the lower bound until then; 10 of 42 s were spent on a quarter."""
+    monkeypatch.setattr(Search, "estimate", lambda self: 5000.0)
+    asked = {}
+    for box_s in (1e-3, 1e3):
+        paused, cover = paused_search(Budget(time_s=100.0)), Asked(box_s, (0.25, 1.0))
+        space_search._with_cover(space_search.Course(None, paused), cover, None)
+        asked[box_s] = cover.allowed[0]
+    assert asked[1e-3] == pytest.approx(space_search.PREVIEW * 5.0, rel=0.01)
+    assert asked[1e3] == pytest.approx(space_search.COVER_SHARE * 100.0, rel=0.01)
 
 
 def test_a_cover_that_gave_up_a_share_is_not_asked_for_larger_ones(monkeypatch):

@@ -130,6 +130,7 @@ multiplied by the maximum weight of their row. See "Weighted points" in ``docs/b
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -147,6 +148,11 @@ from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.search import Box, Boxes, Evaluation
 
+# Exact assignments are solved for boxes with displacements below SMALL of the cutoff, and take as long as
+# about 40 bounds by duals. Once ENOUGH boxes show that they prune less than PAYING of them, which is so
+# where many points have no partner, only boxes below SMALLER are solved.
+SMALL, SMALLER, ENOUGH, PAYING = 1.0, 0.03, 200, 0.2
+
 
 class RigidBound(SpaceBound[Rigid3D]):
     """The maximum of the bounds in the module's docstring, over boxes of poses.
@@ -157,7 +163,7 @@ class RigidBound(SpaceBound[Rigid3D]):
     name = "rigid"
     space_type = Rigid3D
     # Each round solves an exact assignment in one thread, which takes as long as many bounds.
-    round_pairs, max_round = 64_000_000, 512
+    round_pairs, max_round = 64_000_000, 2048
 
     def __init__(
         self, space: Rigid3D, roots: Sequence[Box] | None = None, threads: int = 1
@@ -172,7 +178,18 @@ class RigidBound(SpaceBound[Rigid3D]):
         )
         few = space.n_pairs <= FEW_PAIRS
         self._vertices = None if few else VertexValues(space.clouds, self.map_slices)
-        self.stored = self._vertices
+        self._solved = self._pruned = 0  # boxes with an exact assignment
+        self.stored = None if few else self
+
+    def state(self) -> dict[str, Any]:
+        """Return what is remembered about boxes; see `dcreg.search.Stored`."""
+        assert self._vertices is not None
+        return {"solved": (self._solved, self._pruned), "vertices": self._vertices.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        assert self._vertices is not None
+        self._solved, self._pruned = state["solved"]
+        self._vertices.restore(state["vertices"])
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         count = len(boxes)
@@ -191,18 +208,23 @@ class RigidBound(SpaceBound[Rigid3D]):
     def _evaluate_part(self, boxes: Boxes, cutoff: float, duals: np.ndarray) -> Found:
         """Bound as many boxes as fit into the cache; update `duals` in place."""
         space, vertices, found = self.space, self._vertices, allocate_found(duals)
-        problem = cutoff, space.clouds, self._limits
+        clouds, limits = space.clouds, self._limits
+        pays = self._solved < ENOUGH or self._pruned >= PAYING * self._solved
+        small = SMALL if pays else SMALLER
 
         def work(part: slice) -> int:
             lower, upper, rows = boxes.lower[part], boxes.upper[part], rows_of(found, part)
             if vertices is not None:
                 workspace = allocate_workspace(space.n_source, space.n_target)
-                bound_boxes_by_duals(lower, upper, *problem, rows, workspace)
-            spent: int = bound_boxes(lower, upper, *problem, rows)
+                bound_boxes_by_duals(lower, upper, cutoff, small, clouds, limits, rows, workspace)
+            spent: int = bound_boxes(lower, upper, cutoff, clouds, limits, rows)
             return spent
 
         self.map_slices(len(boxes), work)
         if vertices is not None:
+            solved = np.isfinite(found.values)
+            self._solved += int(solved.sum())
+            self._pruned += int((found.bounds[solved] >= cutoff).sum())
             vertices.raise_bounds(boxes, cutoff, found)
         self._look_at_best(boxes.centres, found.estimates, found.values)
         return found

@@ -122,7 +122,7 @@ SMALL, FEW_BOXES, MAX_MEETINGS = 0.4, 20_000, 5_000_000
 # pair; per part of a region and point pair. The time allowed depends on the time limit and the threads.
 TRIPLE_S, REGION_S, PART_S = 2.1e-9, 4e-9, 6e-10
 BOX_S = 2.7e-9  # of the search, per box and point pair
-SAMPLED = 0.1  # share of the allowed time that the slices of one triple may take
+SAMPLED = 0.05  # share of the allowed time that the slices of one triple may take
 
 
 @dataclass(frozen=True)

@@ -174,8 +174,12 @@ def bound_boxes(lower, upper, cutoff, clouds, limits, found):
 
 
 @jit
-def bound_boxes_by_duals(lower, upper, cutoff, clouds, limits, found, work):
-    """Bound all but the wide boxes by duals; `work` is a `Workspace`."""
+def bound_boxes_by_duals(lower, upper, cutoff, small, clouds, limits, found, work):
+    """Bound all but the wide boxes by duals, and leave small ones to `bound_boxes`.
+
+    `work` is a `Workspace`. A box is small if its displacements cost less than the share `small` of the
+    cutoff.
+    """
     m, k = clouds.target.shape[1], clouds.k
     view = empty_view(clouds)
     radius, farthest = extent(clouds.source)
@@ -198,7 +202,7 @@ def bound_boxes_by_duals(lower, upper, cutoff, clouds, limits, found, work):
         if bounds[at] >= cutoff:
             continue
         boxes.losses[at, 0], boxes.losses[at, 1] = joint.root, joint.rest
-        if is_small(box, radius, k, cutoff):
+        if is_small(box, radius, k, small * cutoff):
             steps[at] = _SOLVE
             for j in range(m):
                 found.duals[at, j] = work.columns[3, j]

@@ -160,7 +160,14 @@ def _in_parts(own, bounds, region, extent, scratch, stack, left, count):
                 found.kept[0, j] = kept[depth, j]
             found.bounds[0] = 0.0
             bound_boxes_by_duals(
-                lower[depth : depth + 1], upper[depth : depth + 1], cutoff, own, limits, found, work
+                lower[depth : depth + 1],
+                upper[depth : depth + 1],
+                cutoff,
+                0.0,
+                own,
+                limits,
+                found,
+                work,
             )
             bounded += 1
             if found.bounds[0] >= cutoff:

@@ -32,7 +32,7 @@ _STEPS = 2  # maximum number of auction steps per pair
 _ROUNDS = 2  # maximum number of rounds of auction steps
 # Auction steps continue while the bound minus the pruning threshold, divided by the loss, is between
 # these.
-_MIN_MARGIN, _MAX_MARGIN = -0.4, 0.1
+_MIN_MARGIN, _MAX_MARGIN = -0.55, 0.1
 # Minimum raise of a dual, as a share of the k-th row's cost, so that ties between columns do not stall.
 _RAISE = 0.02
 # Rows that cost more than this multiple of the k-th row are not matched anywhere in a box.
