@@ -88,7 +88,7 @@ def register(
         returned with status ``time_limit``. The delay is at most a tenth of the limit plus one second, or
         several seconds if the clouds have more than 100,000 points.
     node_limit : int, optional
-        Maximum number of boxes bounded per stage. A round of up to a thousand boxes is completed.
+        Maximum number of boxes bounded per stage. A round of up to two thousand boxes is completed.
     memory_limit_mb : float, optional
         Limit on the memory of the open boxes. While their storage is enlarged, it can take up to three
         times as much.

@@ -169,7 +169,7 @@ class Space(abc.ABC):
         return self.normalised(theta), value, spent + 1
 
     def worth_refining(self, value: float) -> float:
-        """Return the objective up to which a box deserves the first local search; `value` is known."""
+        """Return the objective up to which a local search from a box pays; `value` is known."""
         return np.inf
 
     @abc.abstractmethod
@@ -292,8 +292,8 @@ class SpaceBound(abc.ABC, Generic[S]):
     stored : Stored, optional
         What the bound remembers about boxes.
     round_pairs, max_round : int
-        Maximum number of pairs and of boxes in one round: enough to keep threads busy, few enough for
-        the search to stay interruptible.
+        Maximum number of pairs and of boxes divided in one round: enough to keep threads busy, few
+        enough for the search to stay interruptible.
     """
 
     name: ClassVar[str] = ""

@@ -169,7 +169,7 @@ class Bound(Protocol):
 
     @property
     def round_size(self) -> int:
-        """Maximum number of boxes bounded between two readings of the clock."""
+        """Maximum number of boxes divided between two readings of the clock."""
         ...
 
     @property

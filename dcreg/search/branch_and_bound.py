@@ -28,7 +28,7 @@ from dcreg.search.tolerance import Tolerance
 from dcreg.status import Status
 
 # A local search starts from the best candidate of a round if its value is at most that from which the
-# last local search started (or `Search.worth_at_first` if lower), times this factor for every round since
+# last local search started, or `Search.worth_at_most` if lower, times this factor for every round since
 # then. Local searches are therefore frequent while the incumbent improves.
 REFINING_PATIENCE = 1.01
 
@@ -124,8 +124,8 @@ class Search:
     n_nodes: int = 0
     n_refining: int = 0
     worth_refining: float = np.inf
-    # objective of the incumbent -> value up to which a first local search pays
-    worth_at_first: Callable[[float], float] = field(default=lambda value: np.inf)
+    # objective of the incumbent -> value up to which a local search pays
+    worth_at_most: Callable[[float], float] = field(default=lambda value: np.inf)
     is_over: bool = False
     status: Status | None = None
     events: list[Event] = field(default_factory=list)
@@ -216,7 +216,7 @@ class Search:
         # none begins while local searches have solved more assignments than bounds
         is_cheap = self.n_refining <= self.bound.n_assignments
         if self.refine and is_cheap and not self.is_over and value <= self.worth_refining:
-            self.worth_refining = min(value, self.worth_at_first(self.upper_bound))
+            self.worth_refining = min(value, self.worth_at_most(self.upper_bound))
             began = self.budget.elapsed()
             try:
                 theta, value, spent = self.refine(found.thetas[best])

@@ -25,8 +25,9 @@ COVER_SHARE = 0.8  # share of the time left that one call of `Cover.confine` may
 UNLIMITED_S = 120.0  # time left that is assumed without a limit, and at most
 # Nominal seconds (see `Cover.confine`) of a call if boxes or assignments are limited.
 COUNTED_S = 5.0
-# Share of the nominal seconds that boxes alone are expected to take that one call may take: for the whole
-# cutoff, and for a smaller share of it, which only raises the lower bound until boxes alone end in time.
+# One call may take WORTH of the nominal seconds that boxes alone are expected to take. If boxes will prove
+# the whole cutoff in time, a smaller share may take only PREVIEW: all that it raises is the lower bound
+# until then.
 WORTH, PREVIEW = 0.4, 0.1
 
 
@@ -51,7 +52,7 @@ class Searchable(Protocol):
         ...
 
     def worth_refining(self, value: float) -> float:
-        """Return the objective up to which a box deserves the first local search; `value` is known."""
+        """Return the objective up to which a local search from a box pays; `value` is known."""
         ...
 
 
@@ -148,7 +149,7 @@ def minimise(
         Start(*start), Leaves() if keep_leaves else None,
         Confined(Boxes.of(bound.roots), np.inf),
     )  # fmt: skip
-    search.worth_at_first = space.worth_refining
+    search.worth_at_most = space.worth_refining
     search.worth_refining = space.worth_refining(search.upper_bound)
     course = Course(space, search, is_cut=resumed is None and budget.is_over)
     if resumed is not None:

@@ -151,7 +151,9 @@ def test_few_exact_assignments_are_solved_for_large_clouds(rng):
     assert result.n_assignments < result.n_nodes / 40
 
 
-@pytest.mark.parametrize(("solved", "pruned", "fewer"), [(400, 200, False), (400, 20, True)])
+@pytest.mark.parametrize(
+    ("solved", "pruned", "fewer"), [(400, 200, False), (400, 20, True), (150, 0, False)]
+)
 def test_assignments_that_prune_little_are_solved_for_the_smallest_boxes_only(
     solved, pruned, fewer, rng
 ):
@@ -163,10 +165,31 @@ def test_assignments_that_prune_little_are_solved_for_the_smallest_boxes_only(
     boxes = Boxes(theta - sizes, theta + sizes)
     bound, always = RigidBound(space), RigidBound(space)
     bound.restore({**bound.state(), "solved": (solved, pruned)})
-    for each in (bound, always):
+    fresh = bound.fresh()
+    for each in (bound, fresh, always):
         each.evaluate(boxes, 1.01 * value)
     assert (bound.n_assignments < 0.8 * always.n_assignments) == fewer
+    assert fresh.n_assignments == bound.n_assignments
     assert bound.state()["solved"][0] > solved  # the smallest boxes need them
+    assert bound.state()["solved"][1] == pruned  # all boxes hold a pose below the cutoff
+
+
+def test_boxes_that_exact_assignments_prune_are_counted(rng):
+    source, target, _ = planted(rng, 60, 0.05)
+    space = Rigid3D(source, target, 60)
+    theta, value, _ = space.start(Budget())
+    theta = space.normalised(theta)
+    free = np.abs(theta) != 1.0
+    centres = theta + free * rng.uniform(-0.1, 0.1, (60, 7))
+    boxes, bound = Boxes(centres - 1e-3 * free, centres + 1e-3 * free), RigidBound(space)
+    found = bound.evaluate(boxes, cutoff := 2.0 * value)
+    solved, pruned = bound.state()["solved"]
+    exact = np.isfinite(found.values)
+    assert abs(solved - exact.sum()) <= 1  # one value is computed without a bound
+    assert 0 < pruned < solved
+    assert pruned <= (found.lower_bounds[exact] >= cutoff).sum()
+    bound.evaluate(boxes, None)  # without a cutoff, none can be pruned
+    assert bound.state()["solved"] == (solved, pruned)
 
 
 def test_duplicates_that_nearest_neighbours_cannot_tell(rng):

@@ -1,5 +1,7 @@
 """Branch and bound on a function without geometry."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -277,12 +279,25 @@ def test_a_local_search_that_finds_nothing_does_not_make_the_next_one_likelier()
         begun.append(float(Ripples().value(theta[None])[0]))
         return theta, np.inf, 0
 
-    search.refine, search.worth_at_first = refine, lambda value: 0.5 * value
+    search.refine, search.worth_at_most = refine, lambda value: 0.5 * value
     search.worth_refining = np.inf
     search.run(search.n_nodes + 1)
     assert len(begun) == 1
     assert search.worth_refining == pytest.approx(0.5 * search.upper_bound * REFINING_PATIENCE)
     assert search.worth_refining < begun[0]
+
+
+def test_the_space_tells_from_where_local_searches_pay(monkeypatch):
+    space = SimpleNamespace(
+        axis_weights=np.ones(2), is_confirmed=True, refine=None, start=None, ends=(),
+        worth_refining=lambda value: 2.0 * value,
+    )  # fmt: skip
+    begun, run = [], Search.run
+    monkeypatch.setattr(Search, "run", lambda self, *to: (begun.append(self), run(self, *to)))
+    space_search.minimise(
+        space, Ripples(), Budget(), tolerance=Tolerance(abs=1e-2), start=(np.zeros(2), 0.5)
+    )
+    assert begun[0].worth_at_most(0.5) == 1.0
 
 
 class SlowRipples(Ripples):
@@ -392,12 +407,12 @@ def test_a_share_may_take_less_time_if_boxes_alone_prove_the_whole(monkeypatch):
     """It only raises the lower bound until then; 10 of 42 s were spent on a quarter."""
     monkeypatch.setattr(Search, "estimate", lambda self: 5000.0)
     asked = {}
-    for box_s in (1e-3, 1e3):
+    for box_s in (1e-3, 0.02):  # 5 s and 100 s for all boxes
         paused, cover = paused_search(Budget(time_s=100.0)), Asked(box_s, (0.25, 1.0))
         space_search._with_cover(space_search.Course(None, paused), cover, None)
         asked[box_s] = cover.allowed[0]
     assert asked[1e-3] == pytest.approx(space_search.PREVIEW * 5.0, rel=0.01)
-    assert asked[1e3] == pytest.approx(space_search.COVER_SHARE * 100.0, rel=0.01)
+    assert asked[0.02] == pytest.approx(space_search.WORTH * 100.0, rel=0.01)
 
 
 def test_a_cover_that_gave_up_a_share_is_not_asked_for_larger_ones(monkeypatch):

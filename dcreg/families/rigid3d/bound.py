@@ -130,7 +130,7 @@ multiplied by the maximum weight of their row. See "Weighted points" in ``docs/b
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -148,9 +148,9 @@ from dcreg.families.rigid3d.space import Rigid3D, largest_subset_mean_3d
 from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.search import Box, Boxes, Evaluation
 
-# Exact assignments are solved for boxes with displacements below SMALL of the cutoff, and take as long as
-# about 40 bounds by duals. Once ENOUGH boxes show that they prune less than PAYING of them, which is so
-# where many points have no partner, only boxes below SMALLER are solved.
+# A box gets an exact assignment at its centre if its displacements cost less than SMALL times the cutoff.
+# This takes as long as about 40 bounds by duals. If less than PAYING of at least ENOUGH such boxes were
+# pruned, as where many points have no partner, SMALLER replaces SMALL.
 SMALL, SMALLER, ENOUGH, PAYING = 1.0, 0.03, 200, 0.2
 
 
@@ -163,7 +163,7 @@ class RigidBound(SpaceBound[Rigid3D]):
     name = "rigid"
     space_type = Rigid3D
     # Each round solves an exact assignment in one thread, which takes as long as many bounds.
-    round_pairs, max_round = 64_000_000, 2048
+    round_pairs, max_round = 64_000_000, 1024
 
     def __init__(
         self, space: Rigid3D, roots: Sequence[Box] | None = None, threads: int = 1
@@ -178,8 +178,15 @@ class RigidBound(SpaceBound[Rigid3D]):
         )
         few = space.n_pairs <= FEW_PAIRS
         self._vertices = None if few else VertexValues(space.clouds, self.map_slices)
-        self._solved = self._pruned = 0  # boxes with an exact assignment
+        # boxes with an exact assignment at their centre, and those of them that were pruned
+        self._solved = self._pruned = 0
         self.stored = None if few else self
+
+    def fresh(self) -> Self:
+        """Return the same bound with its present choice of boxes for exact assignments."""
+        fresh = super().fresh()
+        fresh._solved, fresh._pruned = self._solved, self._pruned
+        return fresh
 
     def state(self) -> dict[str, Any]:
         """Return what is remembered about boxes; see `dcreg.search.Stored`."""
@@ -221,10 +228,11 @@ class RigidBound(SpaceBound[Rigid3D]):
             return spent
 
         self.map_slices(len(boxes), work)
-        if vertices is not None:
+        if vertices is not None and cutoff < np.inf:
             solved = np.isfinite(found.values)
             self._solved += int(solved.sum())
             self._pruned += int((found.bounds[solved] >= cutoff).sum())
+        if vertices is not None:
             vertices.raise_bounds(boxes, cutoff, found)
         self._look_at_best(boxes.centres, found.estimates, found.values)
         return found

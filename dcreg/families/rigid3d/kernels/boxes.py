@@ -105,9 +105,9 @@ def geometry(lower, upper, centre, half, buffer):
 
 
 @jit_part
-def is_small(box, radius, k, cutoff):
-    """Whether a box is so small that exact assignments pay: its displacements cost below `cutoff`."""
-    return k * (2.0 * math.atan(box.tangent) * radius + box.shift_radius) ** 2 < cutoff
+def is_small(box, radius, k, limit):
+    """Whether a box is so small that exact assignments pay: its displacements cost less than `limit`."""
+    return k * (2.0 * math.atan(box.tangent) * radius + box.shift_radius) ** 2 < limit
 
 
 @jit

@@ -159,16 +159,9 @@ def _in_parts(own, bounds, region, extent, scratch, stack, left, count):
             for j in range(kept.shape[1]):
                 found.kept[0, j] = kept[depth, j]
             found.bounds[0] = 0.0
-            bound_boxes_by_duals(
-                lower[depth : depth + 1],
-                upper[depth : depth + 1],
-                cutoff,
-                0.0,
-                own,
-                limits,
-                found,
-                work,
-            )
+            low_high = lower[depth : depth + 1], upper[depth : depth + 1]
+            # no part is left to exact assignments
+            bound_boxes_by_duals(*low_high, cutoff, 0.0, own, limits, found, work)
             bounded += 1
             if found.bounds[0] >= cutoff:
                 continue

@@ -30,8 +30,8 @@ from dcreg.jit import jit, jit_inner, jit_part
 _KEPT = 0.7
 _STEPS = 2  # maximum number of auction steps per pair
 _ROUNDS = 2  # maximum number of rounds of auction steps
-# Auction steps continue while the bound minus the pruning threshold, divided by the loss, is between
-# these.
+# Auction steps continue while the bound with half the loss, minus the pruning threshold, is between these
+# multiples of the sum of loss and threshold.
 _MIN_MARGIN, _MAX_MARGIN = -0.55, 0.1
 # Minimum raise of a dual, as a share of the k-th row's cost, so that ties between columns do not stall.
 _RAISE = 0.02
