@@ -25,9 +25,9 @@ COVER_SHARE = 0.8  # share of the time left that one call of `Cover.confine` may
 UNLIMITED_S = 120.0  # time left that is assumed without a limit, and at most
 # Nominal seconds (see `Cover.confine`) of a call if boxes or assignments are limited.
 COUNTED_S = 5.0
-# One call may take WORTH of the nominal seconds that boxes alone are expected to take. If boxes will prove
-# the whole cutoff in time, a smaller share may take only PREVIEW: all that it raises is the lower bound
-# until then.
+# One call may take WORTH of the nominal seconds that boxes alone are expected to take. If boxes prove the
+# whole cutoff in time, a smaller share may take only PREVIEW: all that it raises is the lower bound until
+# then.
 WORTH, PREVIEW = 0.4, 0.1
 
 
