@@ -33,6 +33,7 @@ _ROUNDS = 2  # maximum number of rounds of auction steps
 # Auction steps continue while the bound with half the loss, minus the pruning threshold, is between these
 # multiples of the sum of loss and threshold.
 _MIN_MARGIN, _MAX_MARGIN = -0.55, 0.1
+_MIN_AGAIN = -0.1  # ... and from this multiple, the bounds at the vertices are computed again
 # Minimum raise of a dual, as a share of the k-th row's cost, so that ties between columns do not stall.
 _RAISE = 0.02
 # Rows that cost more than this multiple of the k-th row are not matched anywhere in a box.
@@ -106,8 +107,7 @@ def dual_bound_of_box(view, box, farthest, goal, kept, work, out):
     improved = False
     for attempt in range(_ROUNDS + 1):
         if attempt > 0:
-            margin = (here - 0.5 * lost - goal) / (lost + goal) if goal < np.inf else 0.0
-            if not _MIN_MARGIN < margin < _MAX_MARGIN:
+            if not _MIN_MARGIN < _margin(here, lost, goal) < _MAX_MARGIN:
                 break
             _auction_steps(view, level, work)
         better, level = _evaluate(view, _CEILING, work)
@@ -121,10 +121,15 @@ def dual_bound_of_box(view, box, farthest, goal, kept, work, out):
         if attempt == 0:
             found = _at_vertices(view, box, farthest, level, work, out)
             lost = here - found
-    if improved:
+    if improved and _margin(here, lost, goal) > _MIN_AGAIN:
         found = _at_vertices(view, box, farthest, level, work, out)
     keep_duals(work.columns[3], kept)
     return found, here
+
+
+@jit_part
+def _margin(here, lost, goal):
+    return (here - 0.5 * lost - goal) / (lost + goal) if goal < np.inf else 0.0
 
 
 @jit_part
