@@ -149,7 +149,7 @@ from dcreg.families.rigid3d.vertex_values import VertexValues
 from dcreg.search import Box, Boxes, Evaluation
 
 # A box gets an exact assignment at its centre if its displacements cost less than SMALL times the cutoff.
-# This takes as long as about 40 bounds by duals. If less than PAYING of at least ENOUGH such boxes were
+# This takes as long as dozens of bounds by duals. If less than PAYING of at least ENOUGH such boxes were
 # pruned, as where many points have no partner, SMALLER replaces SMALL.
 SMALL, SMALLER, ENOUGH, PAYING = 1.0, 0.03, 200, 0.2
 
@@ -228,11 +228,11 @@ class RigidBound(SpaceBound[Rigid3D]):
             return spent
 
         self.map_slices(len(boxes), work)
-        if vertices is not None and cutoff < np.inf:
-            solved = np.isfinite(found.values)
-            self._solved += int(solved.sum())
-            self._pruned += int((found.bounds[solved] >= cutoff).sum())
         if vertices is not None:
+            if cutoff < np.inf:
+                solved = np.isfinite(found.values)
+                self._solved += int(solved.sum())
+                self._pruned += int((found.bounds[solved] >= cutoff).sum())
             vertices.raise_bounds(boxes, cutoff, found)
         self._look_at_best(boxes.centres, found.estimates, found.values)
         return found

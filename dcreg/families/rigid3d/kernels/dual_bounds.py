@@ -33,7 +33,9 @@ _ROUNDS = 2  # maximum number of rounds of auction steps
 # Auction steps continue while the bound with half the loss, minus the pruning threshold, is between these
 # multiples of the sum of loss and threshold.
 _MIN_MARGIN, _MAX_MARGIN = -0.55, 0.1
-_MIN_AGAIN = -0.1  # ... and from this multiple, the bounds at the vertices are computed again
+_MIN_AGAIN = (
+    -0.1
+)  # ... above which they also improve the bounds at the vertices: others are divided anyway
 # Minimum raise of a dual, as a share of the k-th row's cost, so that ties between columns do not stall.
 _RAISE = 0.02
 # Rows that cost more than this multiple of the k-th row are not matched anywhere in a box.
@@ -129,6 +131,7 @@ def dual_bound_of_box(view, box, farthest, goal, kept, work, out):
 
 @jit_part
 def _margin(here, lost, goal):
+    """Return how far a bound with half the loss exceeds `goal`, as a multiple of loss and goal."""
     return (here - 0.5 * lost - goal) / (lost + goal) if goal < np.inf else 0.0
 
 
