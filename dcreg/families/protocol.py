@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 import copy
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ClassVar, Generic, Self, TypeVar
@@ -18,6 +17,8 @@ from dcreg.families.pairs import infeasibility_penalty, weighted_clouds
 from dcreg.jit import NEVER
 from dcreg.problem import PairWeights
 from dcreg.search import Bound, Box, Boxes, Budget, Evaluation, Interrupted, Stored
+
+_LEAST_SLICE = 8  # minimum number of items that a thread takes at once, if there are many
 
 Arrays = TypeVar("Arrays", bound=tuple[Any, ...])
 
@@ -340,25 +341,34 @@ class SpaceBound(abc.ABC, Generic[S]):
     def map_slices(self, count: int, work: Callable[[slice], int]) -> None:
         """Apply `work` to slices that cover `count` items, in all threads.
 
-        There are several times as many slices as threads, and each thread takes the next one when it is
-        free. The results of `work` are added to `n_assignments`.
+        Each thread takes the next slice when it is free; slices become smaller towards the end. The
+        results of `work` are added to `n_assignments`.
         """
         self.space.check()
         if self._helpers is None or count < 2:
             self.n_assignments += work(slice(0, count)) if count else 0
         else:
-            parts = min(count, 8 * (self._n_helpers + 1))
-            edges = np.linspace(0, count, parts + 1).astype(int)
+            threads = self._n_helpers + 1
             # taking the next slice is one step of the interpreter: no two threads get the same
-            slices = iter([slice(a, b) for a, b in itertools.pairwise(edges.tolist())])
+            slices = iter(_shrinking_slices(count, threads))
 
             def take() -> int:
                 return sum(map(work, slices))
 
-            helpers = [self._helpers.submit(take) for _ in range(min(self._n_helpers, parts - 1))]
+            helpers = [self._helpers.submit(take) for _ in range(min(self._n_helpers, count - 1))]
             done = take()
             self.n_assignments += done + sum(helper.result() for helper in helpers)
         self.space.check()
+
+
+def _shrinking_slices(count: int, threads: int) -> list[slice]:
+    """Cover `count` items by slices: each half of a thread's share of the rest, at least a few items."""
+    slices, begin, least = [], 0, min(_LEAST_SLICE, -(-count // (4 * threads)))
+    while begin < count:
+        end = min(count, begin + max(least, (count - begin) // (2 * threads)))
+        slices.append(slice(begin, end))
+        begin = end
+    return slices
 
 
 class Strongest:

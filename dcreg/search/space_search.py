@@ -28,7 +28,7 @@ COUNTED_S = 5.0
 # One call may take WORTH of the nominal seconds that boxes alone are expected to take. If boxes prove the
 # whole cutoff in time, a smaller share may take only PREVIEW: all that it raises is the lower bound until
 # then.
-WORTH, PREVIEW = 0.4, 0.1
+WORTH, PREVIEW = 0.4, 0.05
 
 
 class Searchable(Protocol):

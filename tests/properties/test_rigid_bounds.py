@@ -215,13 +215,15 @@ def test_auction_and_lowered_duals_never_exceed_the_assignment(problem):
 
 
 @given(st.integers(1, 40), st.integers(1, 40), SEEDS)
-def test_rough_costs_are_squared_distances(n, m, seed):
+def test_rough_costs_are_squared_distances_with_their_row_minima(n, m, seed):
     generator = np.random.default_rng(seed)
     a, b = (generator.standard_normal((3, size)).astype(np.float32) for size in (n, m))
-    out = np.empty((n, m), np.float32)
-    rough_costs(a, b, out)
+    duals = generator.random(m).astype(np.float32)
+    out, low = np.empty((n, m), np.float32), np.empty(n, np.float32)
+    rough_costs(a, b, duals, out, low)
     expected = ((a[:, :, None].astype(float) - b[:, None, :]) ** 2).sum(axis=0)
     assert out == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert low == pytest.approx((out + duals).min(axis=1))
 
 
 @given(

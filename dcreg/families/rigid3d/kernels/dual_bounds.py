@@ -28,16 +28,17 @@ from dcreg.jit import jit, jit_inner, jit_part
 # Each dual from another pose is multiplied by this factor. Full duals would stay too high for columns
 # that no row needs here, because auction steps only raise duals.
 _KEPT = 0.7
-_STEPS = 2  # maximum number of auction steps per pair
-_ROUNDS = 2  # maximum number of rounds of auction steps
-# Auction steps continue while the bound with half the loss, minus the pruning threshold, is between these
+_STEPS = 3  # maximum number of auction steps per pair
+# Rows that cost up to this multiple of the k-th row take part in auction steps: the k-th cost rises with
+# the duals, which rise too little without the rows between.
+_LEVEL = 1.15
+# Auction steps follow if the bound with half the loss, minus the pruning threshold, is between these
 # multiples of the sum of loss and threshold.
 _MIN_MARGIN, _MAX_MARGIN = -0.55, 0.1
-_MIN_AGAIN = (
-    -0.1
-)  # ... above which they also improve the bounds at the vertices: others are divided anyway
+# ... above which they also improve the bounds at the vertices: other boxes are divided anyway.
+_MIN_AGAIN = -0.1
 # Minimum raise of a dual, as a share of the k-th row's cost, so that ties between columns do not stall.
-_RAISE = 0.02
+_RAISE = 0.01
 # Rows that cost more than this multiple of the k-th row are not matched anywhere in a box.
 _CEILING = np.float32(1.5)
 _ONE = np.float32(1.0)
@@ -105,28 +106,29 @@ def dual_bound_of_box(view, box, farthest, goal, kept, work, out):
         Receives bounds on C at the vertices of the box.
     """
     _begin(view, kept, work)
-    here = level = found = lost = 0.0
-    improved = False
-    for attempt in range(_ROUNDS + 1):
-        if attempt > 0:
-            if not _MIN_MARGIN < _margin(here, lost, goal) < _MAX_MARGIN:
-                break
-            _auction_steps(view, level, work)
+    here, level = _evaluate(view, _CEILING, work)
+    _accept(work)
+    found = _at_vertices(view, box, farthest, level, work, out)
+    lost = here - found
+    if _MIN_MARGIN < _margin(here, lost, goal) < _MAX_MARGIN:
+        _auction_steps(view, _LEVEL * level, work)
         better, level = _evaluate(view, _CEILING, work)
-        if attempt > 0 and better <= here:
-            break
-        here, improved = better, attempt > 0
-        for j in range(kept.size):
-            work.columns[3, j] = work.columns[4, j]
-        for i in range(work.rows.shape[1]):
-            work.rows[1, i] = work.rows[0, i]
-        if attempt == 0:
-            found = _at_vertices(view, box, farthest, level, work, out)
-            lost = here - found
-    if improved and _margin(here, lost, goal) > _MIN_AGAIN:
-        found = _at_vertices(view, box, farthest, level, work, out)
+        if better > here:
+            here = better
+            _accept(work)
+            if _margin(here, lost, goal) > _MIN_AGAIN:
+                found = _at_vertices(view, box, farthest, level, work, out)
     keep_duals(work.columns[3], kept)
     return found, here
+
+
+@jit
+def _accept(work):
+    """Accept the duals on trial, with their row minima, as the best ones."""
+    for j in range(work.columns.shape[1]):
+        work.columns[3, j] = work.columns[4, j]
+    for i in range(work.rows.shape[1]):
+        work.rows[1, i] = work.rows[0, i]
 
 
 @jit_part
@@ -142,47 +144,51 @@ def dual_bound_at_pose(view, farthest, goal, kept, work):
     The bound need not exceed `goal`.
     """
     _begin(view, kept, work)
-    found = off = level = 0.0
-    is_final = False
-    for attempt in range(_ROUNDS + 1):
-        if attempt > 0:
-            if found - off >= goal:
-                break
-            _auction_steps(view, level, work)
-        better, level = _evaluate(view, _ONE, work)
-        if attempt > 0:
-            is_final = better <= found or attempt == _ROUNDS
-            if better <= found:
-                break
-        found, duals = better, total(work.columns[4])
-        off = _rounding(view, farthest, 0.0, found + duals, duals)
-    return found - off, is_final
+    found, level = _evaluate(view, _ONE, work)
+    proved = found - _rounding_at_pose(view, farthest, found, work)
+    if proved >= goal:
+        return proved, False
+    _auction_steps(view, _LEVEL * level, work)
+    found, _ = _evaluate(view, _ONE, work)
+    return max(proved, found - _rounding_at_pose(view, farthest, found, work)), True
+
+
+@jit
+def _rounding_at_pose(view, farthest, found, work):
+    """Bound the rounding error of a bound at one pose."""
+    duals = total(work.columns[4])
+    return _rounding(view, farthest, 0.0, found + duals, duals)
 
 
 @jit
 def _begin(view, kept, work):
-    """Compute the costs at a pose, and initialise the duals from another pose."""
+    """Compute costs at a pose, take duals from another pose, and fill ``work.rows[0]``."""
     for j in range(kept.size):
         for c in range(3):
             work.columns[c, j] = view.target[c, j]
         work.columns[4, j] = np.float32(kept[j] * (_KEPT * DUAL_UNIT))
-    rough_costs(view.source, work.columns, work.costs)
-    add_penalty(view.infeasibility_penalty, work.costs)
-    weigh(view.weights, work.costs)
+    rough_costs(view.source, work.columns, work.columns[4], work.costs, work.rows[0])
+    if view.infeasibility_penalty.size + view.weights.size > 0:
+        add_penalty(view.infeasibility_penalty, work.costs)
+        weigh(view.weights, work.costs)
+        rough_minima(work.costs, work.columns[4], work.rows[0])
 
 
 @jit
 def _auction_steps(view, level, work):
-    """Raise the duals on trial by auction steps."""
+    """Raise the duals on trial by auction steps of the rows that cost at most `level`.
+
+    Before and after, ``work.rows[0]`` holds the row minima.
+    """
     limits = Auction(int(_STEPS * view.k) + 1, np.float32(level), np.float32(_RAISE * level))
     auction(work.costs, work.columns[4], work.rows[0], limits, work.integers)
+    rough_minima(work.costs, work.columns[4], work.rows[0])
 
 
 @jit
 def _evaluate(view, ceiling, work):
     """Lower the duals on trial; return their bound and a cost between the k-th and the next row."""
     low, b, exact = work.rows[0], work.columns[4], work.exact[0]
-    rough_minima(work.costs, b, low)
     mean = 0.0
     for i in range(low.size):
         exact[i] = low[i]

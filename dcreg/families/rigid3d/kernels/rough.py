@@ -18,15 +18,20 @@ _ZERO = np.float32(0.0)
 
 
 @jit_reduction
-def rough_costs(moved, target, out):
-    """Fill (n, m) squared distances of (3, n) points and the first three rows of `target`."""
+def rough_costs(moved, target, b, cost, low):
+    """Fill (n, m) squared distances of (3, n) points and the first three rows of `target`.
+
+    Also fills low_i = min_j (c_ij + b_j): each row is read while it is in the cache.
+    """
     u, v, w = target[0], target[1], target[2]
-    for i in range(out.shape[0]):
+    for i in range(cost.shape[0]):
         x, y, z = np.float32(moved[0, i]), np.float32(moved[1, i]), np.float32(moved[2, i])
-        row = out[i]
-        for j in range(out.shape[1]):
-            a, b, c = x - u[j], y - v[j], z - w[j]
-            row[j] = a * a + b * b + c * c
+        row, best = cost[i], _NONE
+        for j in range(cost.shape[1]):
+            p, q, r = x - u[j], y - v[j], z - w[j]
+            row[j] = p * p + q * q + r * r
+            best = min(best, np.float32(row[j] + b[j]).view(np.int32))
+        low[i] = np.int32(best).view(np.float32)
 
 
 @jit_reduction

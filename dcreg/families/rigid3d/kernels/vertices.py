@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dcreg.assignment.kernels.selection import place_of_least
 from dcreg.families.rigid3d.kernels.dual_bounds import dual_bound_at_pose
 from dcreg.families.rigid3d.kernels.poses import empty_view, look_from
 from dcreg.families.rigid3d.kernels.stationary import needed, proven
@@ -109,35 +110,28 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
     used, count : int
         Slots taken now, and the number of requests.
     """
-    candidates, theta, count = np.empty(VERTICES, np.int64), np.empty(7), 0
+    left, theta, count = np.empty(VERTICES), np.empty(7), 0
     for box in range(lower.shape[0]):
         if boxes.states[box] != VALUES_NEEDED:
             continue
         alone, together = _goals(boxes, box, cutoff)
-        n_open = 0
         for vertex in range(VERTICES):
-            cost = boxes.costs[box, vertex]
-            goal = 2.0 * together - cost
-            if cost < alone and _may_improve(known, boxes.slots[box, vertex], goal):
-                candidates[n_open] = vertex
-                n_open += 1
+            cost, slot = boxes.costs[box, vertex], boxes.slots[box, vertex]
+            # if only one is requested, most of them need not be looked up
+            is_open = most == 1 or slot < 0 or _may_improve(known, slot, 2.0 * together - cost)
+            left[vertex] = cost if is_open else np.inf
         limit = count + most
-        for rank in range(n_open):
-            if count == limit:
+        while count < limit:
+            at = place_of_least(left)
+            cost, slot = left[at], boxes.slots[box, at]
+            if cost >= alone:
                 break
-            if most < n_open:  # the next vertex in the order of C
-                best = rank
-                for other in range(rank + 1, n_open):
-                    if boxes.costs[box, candidates[other]] < boxes.costs[box, candidates[best]]:
-                        best = other
-                candidates[rank], candidates[best] = candidates[best], candidates[rank]
-            at = candidates[rank]
-            goal = 2.0 * together - boxes.costs[box, at]
-            if boxes.slots[box, at] < 0:
+            left[at] = np.inf
+            if slot < 0:
                 vertex_pose(lower[box], upper[box], at, theta)
-                boxes.slots[box, at] = _slot_of(known, used, theta)
-                used = max(used, boxes.slots[box, at] + 1)
-            slot = boxes.slots[box, at]
+                slot = boxes.slots[box, at] = _slot_of(known, used, theta)
+                used = max(used, slot + 1)
+            goal = 2.0 * together - cost
             if _may_improve(known, slot, goal):
                 known.is_final[slot] = True
                 requests.slots[count], requests.boxes[count] = slot, box
@@ -172,7 +166,7 @@ def _goals(boxes, box, cutoff):
 @jit
 def _may_improve(known, slot, goal):
     """Whether to request the value of a vertex that must reach `goal`."""
-    return slot < 0 or (known.values[slot] < goal and not known.is_final[slot])
+    return known.values[slot] < goal and not known.is_final[slot]
 
 
 @jit
