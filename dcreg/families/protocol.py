@@ -14,11 +14,10 @@ from dcreg.assignment.descent import alternate
 from dcreg.assignment.objective import k_assignment
 from dcreg.families.kernels import Clouds
 from dcreg.families.pairs import infeasibility_penalty, weighted_clouds
+from dcreg.families.parallel import shrinking_slices
 from dcreg.jit import NEVER
 from dcreg.problem import PairWeights
 from dcreg.search import Bound, Box, Boxes, Budget, Evaluation, Interrupted, Stored
-
-_LEAST_SLICE = 8  # minimum number of items that a thread takes at once, if there are many
 
 Arrays = TypeVar("Arrays", bound=tuple[Any, ...])
 
@@ -350,7 +349,7 @@ class SpaceBound(abc.ABC, Generic[S]):
         else:
             threads = self._n_helpers + 1
             # taking the next slice is one step of the interpreter: no two threads get the same
-            slices = iter(_shrinking_slices(count, threads))
+            slices = iter(shrinking_slices(count, threads))
 
             def take() -> int:
                 return sum(map(work, slices))
@@ -359,16 +358,6 @@ class SpaceBound(abc.ABC, Generic[S]):
             done = take()
             self.n_assignments += done + sum(helper.result() for helper in helpers)
         self.space.check()
-
-
-def _shrinking_slices(count: int, threads: int) -> list[slice]:
-    """Cover `count` items by slices: each half of a thread's share of the rest, at least a few items."""
-    slices, begin, least = [], 0, min(_LEAST_SLICE, -(-count // (4 * threads)))
-    while begin < count:
-        end = min(count, begin + max(least, (count - begin) // (2 * threads)))
-        slices.append(slice(begin, end))
-        begin = end
-    return slices
 
 
 class Strongest:

@@ -180,8 +180,8 @@ jit_inner: Any = _compiled(make=_make_inner_kernel)
 # For a part of one kernel: compiled as if it stood there, in less time than as a separate function.
 # Not for loops that have to be vectorised: the compiler does that best in a separate function.
 jit_part: Any = _compiled(inline="always")
-# For reductions over finite numbers in any order and with fused multiply-adds: lets the compiler vectorise
-# a minimum.
+# For reductions over finite numbers in any order and with fused multiply-adds: lets the compiler
+# vectorise a minimum.
 jit_reduction: Any = _compiled(
     make=_make_inner_kernel, fastmath={"nnan", "nsz", "reassoc", "contract"}
 )
