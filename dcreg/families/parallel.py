@@ -12,7 +12,6 @@ from typing import TypeVar
 import numpy as np
 
 _GLANCE_S = 0.02
-_LEAST_SLICE = 8  # minimum number of items that a thread takes at once, if there are many
 
 Part = TypeVar("Part")
 Done = TypeVar("Done")
@@ -31,16 +30,6 @@ def in_threads(work: Callable[[Part], Done], parts: Iterable[Part], threads: int
         yield from pool.map(work, parts)
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def shrinking_slices(count: int, threads: int) -> list[slice]:
-    """Cover `count` items by slices: each half of a thread's share of the rest, at least a few items."""
-    slices, begin, least = [], 0, min(_LEAST_SLICE, -(-count // (4 * threads)))
-    while begin < count:
-        end = min(count, begin + max(least, (count - begin) // (2 * threads)))
-        slices.append(slice(begin, end))
-        begin = end
-    return slices
 
 
 @contextlib.contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import copy
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, ClassVar, Generic, Self, TypeVar
@@ -14,7 +15,6 @@ from dcreg.assignment.descent import alternate
 from dcreg.assignment.objective import k_assignment
 from dcreg.families.kernels import Clouds
 from dcreg.families.pairs import infeasibility_penalty, weighted_clouds
-from dcreg.families.parallel import shrinking_slices
 from dcreg.jit import NEVER
 from dcreg.problem import PairWeights
 from dcreg.search import Bound, Box, Boxes, Budget, Evaluation, Interrupted, Stored
@@ -340,21 +340,22 @@ class SpaceBound(abc.ABC, Generic[S]):
     def map_slices(self, count: int, work: Callable[[slice], int]) -> None:
         """Apply `work` to slices that cover `count` items, in all threads.
 
-        Each thread takes the next slice when it is free; slices become smaller towards the end. The
-        results of `work` are added to `n_assignments`.
+        There are several times as many slices as threads, and each thread takes the next one when it is
+        free. The results of `work` are added to `n_assignments`.
         """
         self.space.check()
         if self._helpers is None or count < 2:
             self.n_assignments += work(slice(0, count)) if count else 0
         else:
-            threads = self._n_helpers + 1
+            parts = min(count, 8 * (self._n_helpers + 1))
+            edges = np.linspace(0, count, parts + 1).astype(int)
             # taking the next slice is one step of the interpreter: no two threads get the same
-            slices = iter(shrinking_slices(count, threads))
+            slices = iter([slice(a, b) for a, b in itertools.pairwise(edges.tolist())])
 
             def take() -> int:
                 return sum(map(work, slices))
 
-            helpers = [self._helpers.submit(take) for _ in range(min(self._n_helpers, count - 1))]
+            helpers = [self._helpers.submit(take) for _ in range(min(self._n_helpers, parts - 1))]
             done = take()
             self.n_assignments += done + sum(helper.result() for helper in helpers)
         self.space.check()

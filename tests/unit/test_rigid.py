@@ -180,9 +180,9 @@ def test_boxes_that_exact_assignments_prune_are_counted(rng):
     theta, value, _ = space.start(Budget())
     theta = space.normalised(theta)
     free = np.abs(theta) != 1.0
-    centres = theta + free * rng.uniform(-0.1, 0.1, (60, 7))
+    centres = theta + free * rng.uniform(-0.15, 0.15, (200, 7))
     boxes, bound = Boxes(centres - 1e-3 * free, centres + 1e-3 * free), RigidBound(space)
-    found = bound.evaluate(boxes, cutoff := 2.0 * value)
+    found = bound.evaluate(boxes, cutoff := 10.0 * value)
     solved, pruned = bound.state()["solved"]
     exact = np.isfinite(found.values)
     assert abs(solved - exact.sum()) <= 1  # one value is computed without a bound
