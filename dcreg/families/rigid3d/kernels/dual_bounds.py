@@ -178,7 +178,7 @@ def _begin(view, kept, work):
 def _auction_steps(view, level, work):
     """Raise the duals on trial by auction steps of the rows that cost at most `level`.
 
-    Before and after, ``work.rows[0]`` holds the row minima.
+    ``work.rows[0]`` holds the row minima, clipped by `_evaluate`; afterwards those of all rows.
     """
     limits = Auction(int(_STEPS * view.k) + 1, np.float32(level), np.float32(_RAISE * level))
     auction(work.costs, work.columns[4], work.rows[0], limits, work.integers)
@@ -187,7 +187,10 @@ def _auction_steps(view, level, work):
 
 @jit
 def _evaluate(view, ceiling, work):
-    """Lower the duals on trial; return their bound and a cost between the k-th and the next row."""
+    """Lower the duals on trial; return their bound and a cost between the k-th and the next row.
+
+    ``work.rows[0]`` holds the row minima, and is clipped as in `lower_duals`.
+    """
     low, b, exact = work.rows[0], work.columns[4], work.exact[0]
     mean = 0.0
     for i in range(low.size):
