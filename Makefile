@@ -233,7 +233,7 @@ timings: dev
 history: setup
 	@$(BIN)/python -m reports history
 
-## library: run the method SOLVER=name on the library of problems with proven optima and print its table (LIMIT=10 seconds; PROBLEMS="tiny fish")
+## library: run the method SOLVER=name on the problem library and print its table (LIMIT=10 seconds; PROBLEMS="tiny fish")
 .PHONY: library
 library: setup
 	@$(BIN)/python -m workflows.library run $(or $(SOLVER),dcreg) $(PROBLEMS) $(if $(LIMIT),--limit $(LIMIT))

@@ -113,8 +113,8 @@ class Card(BaseModel):
     version: int = Field(default=1, ge=1)
     models: list[ModelName]
     # official: the authors' own code; library: third-party code; port: our code for the algorithm in a
-    # paper or in its authors' public code; reconstruction: our code for a method of which we have read
-    # neither in full; own: a method of the user.
+    # paper or in its authors' public code; reconstruction: our code, written without the full paper or
+    # the authors' code; own: a method that is not from a publication, of this project or of the user.
     provenance: Literal["official", "library", "port", "reconstruction", "own"]
     # Language and origin of the code that takes the time; reports state it next to times.
     language: str = Field(default="Python", min_length=1)
@@ -138,6 +138,9 @@ class Card(BaseModel):
     # Parameters with their stated defaults, shown in the report.
     parameters: dict[str, Any] = {}
     ranges: dict[str, Range] = {}  # of the parameters that are numbers
+    # Options with which the method runs the search of this library: its results then also depend on the
+    # version of the method `dcreg`.
+    library_search: dict[str, Any] = {}
     # Used by the option ``threshold: paper``.
     threshold_rule: ThresholdRule | None = None
 

@@ -249,15 +249,20 @@ def version(card: Card, added_by: Sequence[Plugin] = ()) -> str:
     return _installed_version(candidates) or "not installed"
 
 
-def fingerprint(name: str, root: Path | None = None) -> str:
-    """Return what identifies the results of method `name`.
+def fingerprint(
+    name: str, root: Path | None = None, options: Mapping[str, Any] | None = None
+) -> str:
+    """Return what identifies the results of method `name` with the given options.
 
     This is its declared version, if its code is known to give the results of that version
     (`known_codes`), otherwise the hash of its code. The version of the package that it requires is part
-    of both.
+    of both. If the options select the search of this library, so is the fingerprint of `dcreg`.
     """
     card, code = read_card(name, root), code_hash(name, root)
     package = f" {card.requires} {version(card)}" if card.requires else ""
+    chosen = card.parameters | dict(options or {})
+    if card.library_search and card.library_search.items() <= chosen.items():
+        package += f", {fingerprint('dcreg')}"
     known = known_codes(root or root_of(name)).get(name, {})
     if known.get("version") == card.version and code in known["codes"]:
         return f"{name} {card.version}{package}"

@@ -39,13 +39,13 @@ def register(
     max_rms: float | None = None,
     options: SolveOptions | None = None,
 ) -> Result:
-    """Register two clouds without correspondences, globally and with a certificate.
+    """Register two clouds without correspondences, with bounds on the global optimum.
 
     Minimises, over poses T of the model and one-to-one matchings P of exactly `n_inliers` pairs,
-    ``sum_ij p_ij |T(x_i) - y_j|^2`` by branch and bound over the pose (DC-Reg, arXiv 2603.25442).
-    In 3D the default mode ``full`` certifies the pose. For ``rigid3d``, mode ``paper`` certifies only the
-    translation, for the norm objective ``sum p_ij (|x_i + t| - |y_j|)^2``; a search for the rotation
-    follows.
+    ``sum_ij p_ij |T(x_i) - y_j|^2`` by branch and bound over the pose. The bounds in 2D are
+    tighter forms of those of DC-Reg (arXiv 2603.25442). In 3D the default mode ``full`` has other bounds,
+    of the pose. For ``rigid3d``, mode ``paper`` certifies only the translation, for the norm objective
+    ``sum p_ij (|x_i + t| - |y_j|)^2``; a search for the rotation follows.
 
     Parameters
     ----------
@@ -86,7 +86,8 @@ def register(
     time_limit : float, optional
         Seconds for the solve, 60 by default; None or inf: no limit. After the limit, the best pose is
         returned with status ``time_limit``. The delay is at most a tenth of the limit plus one second, or
-        several seconds if the clouds have more than 100,000 points.
+        several seconds if the clouds have more than 100,000 points. The first search of each kind also
+        compiles its kernels, which can take tens of seconds.
     node_limit : int, optional
         Maximum number of boxes bounded per stage. A round of up to two thousand boxes is completed.
     memory_limit_mb : float, optional

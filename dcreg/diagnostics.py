@@ -175,8 +175,8 @@ def surrogate_mismatch(case: Case) -> str | None:
         return None
     times = f"{ratio:.3g}" if ratio < 1e6 else "over a million"
     return (
-        f"the mean cost of a pair at this pose is {found:.3g}, {times} times the upper bound "
-        f"{bounded:.3g} in norm space. The norms do not determine the pose, which may be wrong. Use "
+        f"the mean cost of a pair at this pose is {found:.3g}, {times} times its value in norm space, "
+        f"{bounded:.3g}. The norms do not determine the pose, which may be wrong. Use "
         "mode 'full' (with downsample=200 for large clouds), or another n_inliers"
     )
 

@@ -98,12 +98,12 @@ class Result(Document):
         translation, then the logarithm of the scale (in 2D zeros if it is fixed). It follows from the
         residuals of the pairs and assumes that the pairs are right, with independent and equally large
         errors. It is far too small for scans of a surface at different points, and too small if fewer
-        pairs than true ones are matched. None if the pairs do not determine the pose, or with a range of
-        poses.
+        pairs than true ones are matched. None if the pairs do not determine the pose, or if it lies
+        at a limit of its range.
     open_directions : list of OpenDirection, optional
         Motions along which the clouds slide on each other, such as those of a plane. Other pairs then fit
-        as well, so the covariance does not show these motions. Empty below 200 target points. None, which
-        means not tested, with a range of poses.
+        as well, so the covariance does not show these motions. Empty with fewer than 10 points. None,
+        which means not tested, with a range of poses.
     memory_estimate : MemoryEstimate, optional
         The memory that the solve was expected to need.
     warnings : list of str
@@ -151,7 +151,7 @@ class Result(Document):
 
     @property
     def bound_ratio(self) -> float:
-        """Lower bound divided by upper bound: the proven share. 1 for an exact fit."""
+        """Lower bound divided by upper bound (L/U); 1 for an exact fit."""
         return 1.0 if self.is_exact else proven_share(self.lower_bound, self.upper_bound)
 
     @property
@@ -189,7 +189,10 @@ class Result(Document):
 
     @property
     def success(self) -> bool:
-        """Whether the status is ``optimal``: bounds that prove the optimum close the gap."""
+        """Whether the status is ``optimal``: bounds that prove the optimum close the gap.
+
+        It does not say whether the pose is the true one.
+        """
         return self.status is Status.OPTIMAL
 
     @property
@@ -291,7 +294,7 @@ class Result(Document):
             )
         yield "lower bound", f"{self.lower_bound:.6g}"
         yield "upper bound", f"{self.upper_bound:.6g}"
-        yield "gap", f"{self.gap:.4g} (tolerance {self.gap_tol:.4g}); {self._proven_share()}"
+        yield "gap", f"{self.gap:.4g} (tolerance {self.gap_tol:.4g}); {self._ratio_in_words()}"
         yield "scope of bounds", scope
         bounding = [stage for stage in self.stages if stage.status is not None]
         for stage in bounding if len(bounding) > 1 else []:
@@ -332,7 +335,7 @@ class Result(Document):
     def _verdict(self, scope: str) -> str:
         status = self.status
         if status is Status.OPTIMAL:
-            return f"optimal: certified for the {scope}; {self._proven_share()}"
+            return f"optimal: certified for the {scope}; {self._ratio_in_words()}"
         if status is Status.REFUTED and self.max_rms is not None:
             rms = float(np.sqrt(self.lower_bound / self.n_inliers))
             return (
@@ -365,8 +368,8 @@ class Result(Document):
         ]
         return f"standard deviations if the pairs are right: {', '.join(words)} (in source coordinates)"
 
-    def _proven_share(self) -> str:
-        """Return what the lower bound proves, in words."""
+    def _ratio_in_words(self) -> str:
+        """Return the lower bound as a share of the upper bound, in words."""
         if self.is_exact:
             return "the fit is exact up to rounding"
         return f"the lower bound is {text.percent(self.bound_ratio)} of the upper bound"

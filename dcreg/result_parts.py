@@ -249,7 +249,7 @@ class ChosenNumber:
     low, high : int
         The numbers from `low` to `high` fit nearly as well.
     runner_up : int, optional
-        This number of pairs fits nearly as well at a clearly different pose.
+        Another number of pairs, which fits nearly as well at a clearly different pose.
     is_cut : bool
         Whether the time limit or the listener ended the comparison before all poses and numbers were
         compared.

@@ -16,7 +16,7 @@ target = rng.permutation(target)
 result = dcreg.register(source, target, n_inliers=30, model="similarity2d")
 
 print("status:", result.status, "for the", result.certificate_scope)
-print("bounds:", result.lower_bound, result.upper_bound, "proven share:", result.bound_ratio)
+print("bounds:", result.lower_bound, result.upper_bound, "lower/upper:", result.bound_ratio)
 print("pose (p_target = T @ [p_source, 1]):", result.T_target_source, sep="\n")
 print("scale", result.scale, "RMS residual", result.rmse_matched)
 print("first pairs (source row, target row):", result.assignment[:3].tolist())

@@ -264,7 +264,7 @@ def library(
         "results/library/page"
     ),
 ) -> None:
-    """Build the page of the library of problems with proven optima."""
+    """Build the page of the problem library."""
     from reports.library.page import build
 
     say(f"library   {build(out)}")

@@ -65,6 +65,7 @@ def render(found: Measured, origin: dict[str, Any]) -> str:
         facts=_facts(found.runs),
         threshold=SUCCESS_SHARE,
         no_pose=f"{NO_POSE:g}",
+        certified_gap=f"{100 * measured.CERTIFIED_GAP:g} %",
         small=f"{100 * measured.SMALL:g} %",
         coverage=f"{100 * measured.COVERAGE:g} %",
     )

@@ -65,7 +65,7 @@ def _archived_blocks(plan: Plan, methods: Sequence[str]) -> Needs:
         method.name: {run_id for run_id, _, version in archived(method.name) if version == present}
         for method in plan.methods
         if method.name not in methods
-        for present in [registry.fingerprint(method.baseline)]  # takes long
+        for present in [registry.fingerprint(method.baseline, options=method.options)]  # takes long
     }
     missing: dict[tuple[str, str, str], set[int]] = defaultdict(set)
     last: dict[tuple[str, str, str], int] = defaultdict(int)

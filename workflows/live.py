@@ -65,7 +65,8 @@ class State:
         kept = kept_runs(self.plan, self.folder)
         self._times = measured_times(self.plan, self.folder, kept)
         self._present = {
-            each.name: registry.fingerprint(each.baseline) for each in self.plan.methods
+            each.name: registry.fingerprint(each.baseline, options=each.options)
+            for each in self.plan.methods
         }
         self.ended = {
             run_id: outcome(kept[run_id]["status"])

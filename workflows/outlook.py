@@ -50,7 +50,7 @@ def outlook_of(plan: Plan, folder: Path) -> list[Outlook]:
     outlook = []
     for (name, model), runs in rows.items():
         method = runs[0].method
-        fingerprint = registry.fingerprint(method.baseline)
+        fingerprint = registry.fingerprint(method.baseline, options=method.options)
         is_here = runs_here(method)
         finished, seconds, known = 0, 0.0, True
         for run in runs:
@@ -80,7 +80,7 @@ def kept_runs(plan: Plan, folder: Path) -> dict[str, dict[str, Any]]:
     """Return the finished runs of the plan's methods by run_id, if possible those of the present code."""
     kept: dict[str, dict[str, Any]] = {}
     for method in plan.methods:
-        fingerprint = registry.fingerprint(method.baseline)
+        fingerprint = registry.fingerprint(method.baseline, options=method.options)
         finished = {**archived(method.name), **journalled(folder / "runs" / method.name)}
         for row in finished.values():
             if kept.get(row["run_id"], {}).get("fingerprint") != fingerprint:

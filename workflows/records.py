@@ -80,9 +80,7 @@ RAW: dict[str, Column] = {
     "upper_bound": Column(float, "minimum value found of the certified objective, same unit", True),
     "gap": Column(float, "upper_bound - lower_bound", True),
     "gap_tol": Column(float, "absolute gap that counts as closed at the end of a run"),
-    "bound_ratio": Column(
-        float, "lower_bound / upper_bound, the share that is proven; 1 for an exact fit", True
-    ),
+    "bound_ratio": Column(float, "lower_bound / upper_bound; 1 for an exact fit", True),
     "certificate_scope": Column(str, "what the two bounds refer to"),
     "n_nodes": Column(float, "boxes bounded; empty for methods without a search", True),
     "n_assignments": Column(float, "exact assignments solved", True),

@@ -138,7 +138,7 @@ def _compared(repetition: Repetition, solution: Solution) -> dict[str, Any]:
     }
     identity = {
         "instance_digest": content_digest(instance),
-        "fingerprint": registry.fingerprint(run.method.baseline),
+        "fingerprint": registry.fingerprint(run.method.baseline, options=run.method.options),
     }
     return {
         "method": run.method.name,

@@ -24,7 +24,8 @@ from dcreg.search import Bound, Box
 class OwnBound(Baseline):
     """A method that differs from mode `paper` of the library in the bound.
 
-    Normalisation, start box, first incumbent, branching, tolerances and polish are those of DC-Reg.
+    Normalisation, start box, first incumbent, branching, tolerances and polish are those of the library.
+    Its stage `distances` is left out, as for each bound that the user names.
 
     Attributes
     ----------
@@ -48,7 +49,7 @@ class OwnBound(Baseline):
         """Return mode `paper` with the bound of the method."""
         return replace(
             find_mode(model, "paper"), name=self.card.display_name, make_bound=self.make_bound,
-            own_bound=self.own_bound, certifies="",
+            make_cover=None, own_bound=self.own_bound, certifies="",
         )  # fmt: skip
 
     def warm_up(self, instance: Instance) -> None:

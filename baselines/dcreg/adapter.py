@@ -80,7 +80,7 @@ class Adapter(Baseline):
             if chosen_by_library or name == mode:
                 many = len(instance.source) * len(instance.target) > FEW_PAIRS
                 warm_up_mode(find_mode(instance.model, name), bound, many=many)
-                if many and find_mode(instance.model, name).make_cover is not None:
+                if many and bound is None and find_mode(instance.model, name).make_cover:
                     compile_covers()
 
     def solve(self, instance: Instance, limits: Limits) -> Solution:

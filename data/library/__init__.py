@@ -1,4 +1,4 @@
-"""The library of problems with proven optima: problems, records, and the checks of both."""
+"""The problem library: problems, records, and the checks of both."""
 
 from data.library.problem import LibraryError, Problem, all_problems, find_problem
 from data.library.record import Record, read_record

@@ -1,4 +1,4 @@
-"""The library of problems with proven optima: list, show, check, and submit improvements."""
+"""The problem library: list, show, check, and submit improvements."""
 
 from __future__ import annotations
 

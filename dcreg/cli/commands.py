@@ -71,7 +71,7 @@ def register(
     files: SearchFiles,
     quiet: Quiet = False,
 ) -> int:
-    """Register SOURCE to TARGET and certify the result.
+    """Register SOURCE to TARGET and bound the global optimum.
 
     Files: .txt .csv .xyz .npy .npz .mat .ply .pcd .off .las .laz .e57.
 
@@ -139,9 +139,9 @@ def sweep(
 
     dcreg sweep a.txt b.txt --model similarity2d --n-inliers 0.5:1.0:0.05 --plot curves.html
 
-    Exit code: 0 all solved; 2 bad input; 3 some stopped at a limit or by
-    Ctrl-C (their best poses and bounds are still written); 4 an output file
-    could not be written.
+    Exit code: 0 all finished (optimal or converged); 2 bad input; 3 some
+    stopped at a limit or by Ctrl-C (their best poses and bounds are still
+    written); 4 an output file could not be written.
 
     Parameters
     ----------

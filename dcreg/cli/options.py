@@ -215,8 +215,9 @@ class Search:
         are feasible.
     mode : NAME
         Search mode. In 2D: {modes_2d}. In 3D: {modes_3d}; similarity3d only has full. Default: {auto},
-        which selects full in 3D. For rigid3d it selects paper instead if --bound is given, for more than
-        4,000,000 point pairs, or for a certificate of more than 160,000 point pairs.
+        which selects full in 3D. For rigid3d it selects paper instead if --bound is given, if more than
+        4,000,000 point pairs are searched without a sample, or for a certificate of more than 160,000
+        point pairs.
     bound : NAME
         Bounding function, which computes the lower bounds: {bounds}; 'a+b' takes the maximum of two.
     start_box : NAME
@@ -350,8 +351,9 @@ class MatchSearch:
         Criterion for the best pose: 'correspondences' is the cost of the matches; 'surfaces' also
         compares the surfaces of dense scans, without bounds.
     certify : switch
-        Run branch and bound to the time limit. By default, it runs for at most 25 seconds with --score
-        correspondences, and not at all with --score surfaces.
+        Like --prove of register: search to the time limit for a proof. By default, the search ends after
+        about five seconds, or 25 if another pose has nearly the same score. With --score surfaces, there
+        is no search by default.
     rel_gap : X
         Gap at which to stop, as a share of the upper bound.
     abs_gap : X

@@ -82,7 +82,7 @@ class Others:
         1 % of the RMS radius of the target.
     isolated : D
         Replaces --min-displacement. In addition, raise the lower bound on the objective of all distinct
-        poses beyond the threshold, as far as possible within the limits.
+        poses beyond --ratio times the best objective, as far as possible within the limits.
     max_others : N
         Stop when N other poses are found.
     """

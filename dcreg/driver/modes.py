@@ -52,8 +52,8 @@ ENDING_S, LARGEST_ENDING = 1e-5, 0.75
 ALL_POSES = "all poses"  # the stage of a search that a range of poses does not limit
 
 
-def find_mode(model: str, name: str) -> Mode:
-    """Return the mode called `name`.
+def find_mode(model: str, name: str, bound: str | None = None) -> Mode:
+    """Return the mode called `name`; a `bound` that is asked for works alone, without a cover.
 
     Raises
     ------
@@ -61,7 +61,8 @@ def find_mode(model: str, name: str) -> Mode:
         For an unknown name, listing the known ones.
     """
     if (model, name) in mode_files():
-        return load_mode(model, name)
+        mode = load_mode(model, name)
+        return mode if bound is None else replace(mode, make_cover=None)
     raise InputError(
         f"mode: {name!r} is unknown for {model}{suggestion(name, [AUTO, *mode_names(model)])}"
     )
@@ -201,14 +202,13 @@ class Attempt:
     def run(self, budget: Budget, start: Start | None = None) -> Outcome:
         """Minimise the objective over the space."""
         mode, problem, make_cover = self.mode, self.problem, None
-        # Only with the mode's own bound, so that another one is used alone. A cover contains the poses
-        # that are stationary without weights, which need not be those of a region. Attributes change no
-        # stationary pose, and costs only increase.
-        is_own = problem.bound == mode.own_bound and problem.region is None
-        is_own = is_own and not (problem.weights is not None and problem.weights.are_weighted)
+        # A cover contains the poses that are stationary without weights, which need not be those of a
+        # region. Attributes change no stationary pose, and costs only increase.
+        is_free = problem.region is None
+        is_free = is_free and not (problem.weights is not None and problem.weights.are_weighted)
         if start is None and problem.init is not None and budget.resumed is None:
             start = self.start(budget)
-        if mode.make_cover is not None and is_own:
+        if mode.make_cover is not None and is_free:
             make_cover = functools.partial(
                 cover_of, mode, self.space, problem.threads, problem.budget
             )

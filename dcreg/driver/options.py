@@ -43,8 +43,8 @@ class SolveOptions:
         a difference of means of `n_inliers` points (a single value if all points match).
     threads : int, optional
         Threads of the search; default: one for each processor that the process may use, at most
-        `MAX_DEFAULT_THREADS`. With a limit on boxes or assignments they do not change the result.
-        Otherwise they can change which boxes are searched, but not the validity of the bounds. With more
+        `MAX_DEFAULT_THREADS`. They change the result only if elapsed time ends a step of
+        the search; the bounds are valid in any case. With more
         than 40,000 point pairs, the initial poses use two threads; neighbour queries of large clouds use
         all processors.
     polish : bool
@@ -58,15 +58,14 @@ class SolveOptions:
         Search with at most this many points of each cloud, chosen by farthest-point sampling after
         outlier removal, and refine the pose on all points. An integer `n_inliers` refers to the full
         clouds and is scaled down with them. By default, all points are searched, except for large clouds
-        if neither mode, bound, certificate nor candidates are given: 300 points in 2D above 1,000,000
-        point pairs; 400 points in 3D if both clouds have more than 1,000 points, or above 4,000,000 point
-        pairs.
+        if no mode, bound, certificate, candidates, weights, attributes or `max_rms` is given: 300 points
+        in 2D above 1,000,000 point pairs; 400 points in 3D if both clouds have more than 1,000 points, or
+        above 4,000,000 point pairs.
     prove : bool
-        Search to the time limit for a proof. By default, mode ``full`` and searches of samples end with
-        status ``converged`` if a proof takes, or is expected to take, more than five seconds after the
-        initial poses, divided by the number of threads but at least one second; five times as long if
-        the poses are not confirmed; for a sample, 0.1 and 0.5 seconds. Sweeps over all points,
-        and searches with a limit on boxes or assignments, continue to their limits.
+        Search to the time limit for a proof. By default, mode ``full`` and searches of samples give up
+        early and end as ``converged``: after about five seconds of one thread (25 if another initial pose
+        is nearly as good), and after half a second at most for a sample. Sweeps over all points, and
+        searches with a limit on boxes or assignments, continue to their limits.
     assignment_limit : int, optional
         Maximum number of exact assignments of each search, including those of the initial poses. In
         contrast to a time limit it gives the same result on every machine. The choice of `n_inliers` is

@@ -146,7 +146,7 @@ class Setup:
         largest = searched[-1]
         if name is None:
             name = choose_mode(largest, bound, certificate)
-        chosen = mode or find_mode(largest.model, name)
+        chosen = mode or find_mode(largest.model, name, bound)
         check_mode(chosen, largest, bound, certificate, has_init=has_init, has_max_rms=has_max_rms)
         limits.check(largest.n_inliers)
         memory = estimated_memory(problems[-1], largest, chosen, bound, len(problems))

@@ -121,7 +121,10 @@ class Campaign:
     def versions(self) -> dict[str, str]:
         """The present versions of the methods."""
         methods = self.experiment.methods
-        return {method.name: registry.fingerprint(method.baseline) for method in methods}
+        return {
+            method.name: registry.fingerprint(method.baseline, options=method.options)
+            for method in methods
+        }
 
     @cached_property
     def specs(self) -> dict[str, InstanceSpec]:

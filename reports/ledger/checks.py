@@ -33,6 +33,9 @@ from reports.ledger.finding import (
 from reports.theme import words
 
 ROTATION = "depends on the rotation stage, which is a reconstruction"
+# Runs of one machine were made on different days, and the same work took up to this factor longer.
+DAYS = 2.0
+UNEQUAL_DAYS = f"times of the same work differ between days by up to a factor of {DAYS:g}"
 SHARES = ("success", "search_error")  # quantities of which a mean is a share
 # An error is low within this factor of the fit to the true pairs, or below this error above the floor.
 LOW_FACTOR, LOW_EXCESS = 1.1, 0.02
@@ -69,18 +72,20 @@ def ratio(source: Source, p: Parameters) -> Finding:
 
 
 def _extreme_ratios(part: pd.DataFrame, quantity: str) -> intervals.Extremes | None:
-    """Return the ratios without the one and without the other rotation stage, which we reconstructed.
+    """Return how small and how large a ratio of times can be.
 
-    None if neither method has such a stage.
+    The rotation stage of either method, which we reconstructed, may take no time, and the two methods may
+    have run on days on which the same work took more or less time (`DAYS`).
     """
     if quantity not in LEAST:
         return None
     names = quantity, LEAST[quantity], f"{quantity}_rival", f"{LEAST[quantity]}_rival"
     mine, least, others, their_least = of_trials(part, *names, by="sum").T
-    if (least == mine).all() and (their_least == others).all():
-        return None
+    is_whole = (least == mine).all() and (their_least == others).all()
     return intervals.Extremes(
-        intervals.ratio(least, others), intervals.ratio(mine, their_least), ROTATION
+        intervals.ratio(least, DAYS * others),
+        intervals.ratio(DAYS * mine, their_least),
+        UNEQUAL_DAYS if is_whole else ROTATION,
     )
 
 

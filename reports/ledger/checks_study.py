@@ -14,15 +14,10 @@ BOX = ["instance", "trial"]  # identify a box up to its width
 
 @check("boxes", of_study=True)
 def boxes(source: Source, p: Parameters) -> Finding:
-    """Share of the boxes in which one bound is at least another one; a comparison per width.
-
-    Values below 0 count as 0, the bound that every search has.
-    """
+    """Share of the boxes in which one bound is at least another one; a comparison per width."""
     finding = Finding("share of boxes")
     table = source.evidence.study["boxes"].dropna(subset="value")
-    wide = table.assign(value=table["value"].clip(lower=0.0)).pivot_table(
-        index=[*BOX, "width"], columns="bound", values="value"
-    )
+    wide = table.pivot_table(index=[*BOX, "width"], columns="bound", values="value")
     wide = wide.reset_index()
     if pattern := p.get("instances"):
         wide = wide[wide["instance"].str.startswith(pattern)]

@@ -115,7 +115,9 @@ class Experiment:
             search_error=runs["verdict"].eq("search_error").astype(float),
             certified=runs["status"].eq("optimal") & of_pose,
             open_gap=_open_gap(runs),
-            violation=(is_refuted(runs) & of_pose).astype(float),
+            # a lower bound of at most 0 proves nothing
+            violation=is_refuted(runs).astype(float).where(of_pose & (runs["lower_bound"] > 0)),
+            missed=_is_missed(runs).astype(float).where(runs["status"].eq("optimal") & of_pose),
             limited=runs["outcome"].eq("limited"),
             **_translation(runs, self.tables.cards, here),
             source=source.where(source != "", runs["dataset"]),
@@ -308,6 +310,11 @@ def _read_study(folder: Path) -> dict[str, pd.DataFrame]:
     for table in study.values():
         check_study(table, folder)
     return study
+
+
+def _is_missed(runs: pd.DataFrame) -> pd.Series:
+    """Tell whether a known pose is better by more than the tolerance."""
+    return runs["upper_bound"] - runs["objective_best"] > runs["gap_tol"] * (1 + 1e-9)
 
 
 def _scan_sources(shapes: pd.Series) -> dict[str, str]:

@@ -48,6 +48,8 @@ UNITS = {
     "n_nodes": "boxes",
     "n_assignments": "assignments",
     "open_gap": "relative gap at the end",
+    "violation": "contradicted lower bound",
+    "missed": "known pose better by more than the tolerance",
 }
 
 

@@ -18,7 +18,8 @@ runs can be added until a claim is decided:
     central limit theorem (Waudby-Smith et al., *Ann. Statist.* 52, 2024). The standard error is that of
     bootstrap draws.
 
-  A maximum over runs has no interval: one counterexample decides.
+  A maximum over runs has no interval: one counterexample refutes. It is confirmed like values that all
+  agree, once more than `ALIKE` of all trials are shown to be below.
 - Within a claim, Holm's procedure keeps the probability of any wrong decision below `LEVEL`. In the
   order of their p-values, comparison i of m is decided at ``LEVEL / (m - i + 1)``; the procedure stops
   at the first comparison that is not decided. Each interval is shown at the level that decides it.
@@ -210,7 +211,7 @@ class Median:
 
 @dataclass(frozen=True)
 class Exact:
-    """A value without an interval, such as a maximum."""
+    """A maximum: one larger value refutes it. That no trial exceeds it is shown as for `ALIKE` values."""
 
     value: float
     n: int
@@ -219,13 +220,14 @@ class Exact:
         return self.value, self.value
 
     def tails(self, threshold: float, *, tie_below: bool) -> tuple[float, float]:
-        return _sides(0.0, self.value <= threshold if tie_below else self.value < threshold)
+        is_below = self.value <= threshold if tie_below else self.value < threshold
+        return _sides(_p_of_share(1.0, self.n, ALIKE) if is_below else 0.0, is_below)
 
     def needed(self, threshold: float, level: float) -> int | None:
-        return None
+        return Share(1.0, self.n).needed(ALIKE, level)
 
     def least(self, threshold: float, level: float) -> int:
-        return MIN_TRIALS
+        return Share(1.0, 1).least(ALIKE, level)
 
 
 class Extremes(NamedTuple):

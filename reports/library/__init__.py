@@ -1,1 +1,1 @@
-"""The pages of the library of problems with proven optima."""
+"""The pages of the problem library."""

@@ -25,7 +25,7 @@ WORDS = {
     "open": "not proven so far; the view states the CPU time of the longest search",
 }
 BIBTEX = """@misc{{dcreg-library-{key},
-  title = {{Problem {id} of the DC-Reg library of registration problems with proven optima}},
+  title = {{Problem {id} of the DC-Reg problem library}},
   author = {{{author}}},
   year = {{{year}}},
   note = {{Version {dcreg} of the record. {origin}}}

@@ -280,6 +280,13 @@ class TestFingerprint:
         edit_card(root, parameters={"move": False})
         assert registry.fingerprint("mine", root) != before
 
+    def test_has_the_version_of_the_library_whose_search_it_uses(self) -> None:
+        for name in ("rpm_htb", "rpm_bp", "hbsp"):
+            own = registry.fingerprint(name)
+            assert registry.fingerprint(name, options={"search": "own"}) == own
+            with_library = registry.fingerprint(name, options={"search": "ours"})
+            assert with_library == f"{own}, {registry.fingerprint('dcreg')}"
+
     def test_ignores_bytecode(self, root: Path) -> None:
         before = registry.fingerprint("mine", root)
         (root / "mine" / "__pycache__").mkdir()

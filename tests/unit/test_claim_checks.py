@@ -38,7 +38,7 @@ from reports.ledger import checks
 from reports.ledger.evidence import Evidence
 from reports.ledger.finding import CHECKS, Source, limits, select
 from reports.ledger.intervals import NOT, NOT_RUN, OPEN, REPRODUCED
-from reports.tables import thinned
+from reports.tables import is_refuted, thinned
 from workflows.outcomes import comparable_times, is_timed
 
 # --- every kind of check ---------------------------------------------------------------------------
@@ -164,10 +164,10 @@ def test_every_kind_of_check_is_tried_here():
     assert {check["kind"] for check, *_ in STUDY} == of_study
 
 
-def test_boxes_count_values_below_zero_as_zero_and_can_be_of_some_instances_only():
+def test_boxes_compare_values_below_zero_and_can_be_of_some_instances_only():
     check, _, make = STUDY[0]
     table = pd.concat([make(1).assign(instance="2D fish"), make(-1).assign(instance="3D horse")])
-    for shift, shares in ((0.0, [(1.0, 100), (0.0, 100)]), (-9.0, [(1.0, 100), (1.0, 100)])):
+    for shift, shares in ((0.0, [(1.0, 100), (0.0, 100)]), (-9.0, [(1.0, 100), (0.0, 100)])):
         shifted = {"boxes": table.assign(value=table["value"] + shift)}
         source = Source(Evidence({}, shifted), None, {})
         parts = [CHECKS["boxes"](source, check | {"instances": d}).parts[0] for d in ("2D", "3D")]
@@ -465,7 +465,7 @@ def with_rotation(method: str, translation: float, total: float, **columns) -> p
 
 @pytest.mark.parametrize(
     ("translation", "total", "verdict"),
-    [(2.0, 5.0, REPRODUCED), (0.2, 0.5, NOT), (0.2, 5.0, OPEN)],
+    [(3.0, 5.0, REPRODUCED), (0.2, 0.4, NOT), (0.2, 5.0, OPEN)],
 )
 def test_a_time_verdict_holds_with_and_without_the_reconstructed_rotation(
     translation, total, verdict
@@ -477,6 +477,41 @@ def test_a_time_verdict_holds_with_and_without_the_reconstructed_rotation(
     assert ("rotation stage, which is a reconstruction" in found.reason) == (verdict == OPEN)
     swapped = {**check, "subject": "rpm_htb", "rivals": ["dcreg_paper"], "claimed": {"below": 1.0}}
     assert judged(evidence(ours, rival), swapped).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("seconds", "verdict"), [(1.9, OPEN), (2.1, REPRODUCED), (0.6, OPEN), (0.4, NOT)]
+)
+def test_times_of_different_days_decide_only_beyond_their_spread(seconds, verdict):
+    check = {**TIME, "claimed": {"above": 1.0}}
+    tables = runs_of("paper", time_solve_s=seconds), runs_of("rival", time_solve_s=1.0)
+    found = judged(evidence(*tables), check)
+    assert found.verdict == verdict
+    assert ("differ between days" in found.reason) == (verdict == OPEN)
+
+
+def test_bounds_of_other_objectives_are_not_refuted():
+    runs = runs_of("paper", lower_bound=2.0)
+    assert is_refuted(runs).all()
+    assert not is_refuted(runs.assign(certificate_scope="rotation for this translation")).any()
+
+
+def test_a_known_better_pose_is_missed_only_beyond_the_tolerance_of_an_optimum():
+    kinds = {"within": {"gap_tol": 0.6}, "beyond": {"gap_tol": 0.4}}
+    kinds["at a limit"] = {**kinds["beyond"], "status": "time_limit"}
+    found = {
+        name: evidence(runs_of("paper", upper_bound=1.5, objective_best=1.0, **columns))
+        .experiments["paper2d"].runs["missed"]
+        for name, columns in kinds.items()
+    }  # fmt: skip
+    assert (found["within"] == 0).all()
+    assert (found["beyond"] == 1).all()
+    assert found["at a limit"].isna().all()
+
+
+def test_a_bound_of_zero_proves_nothing():
+    runs = evidence(runs_of("paper", lower_bound=0.0)).experiments["paper2d"].runs
+    assert runs["violation"].isna().all()
 
 
 def test_a_rotation_at_the_limit_does_not_cut_the_translation_search():

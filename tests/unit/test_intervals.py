@@ -178,7 +178,10 @@ def test_the_needed_number_decides_about_as_often_as_stated():
 
 def test_the_needed_number_is_honest_about_what_is_not_known():
     assert intervals.needed(intervals.mean(NORMAL[:4]), {"above": 0.0}, LEVEL) is None
-    assert intervals.needed(intervals.maximum(np.zeros(9)), {"at_most": 0}, LEVEL) is None
+    none = intervals.maximum(np.zeros(9))
+    least = intervals.needed(none, {"at_most": 0}, LEVEL)
+    assert least == intervals.least(none, {"at_most": 0}, LEVEL) == MIN_TRIALS
+    assert intervals.needed(none, {"at_most": 0}, LEVEL / 10) > MIN_TRIALS
     exact = intervals.mean(NORMAL)
     assert intervals.needed(exact, {"above": exact.value}, LEVEL) == MOST_NEEDED
     clear = intervals.mean(np.full(10, 5.0))

@@ -1,4 +1,4 @@
-"""The library of problems with proven optima: files, records, checks, submissions and solves."""
+"""The problem library: files, records, checks, submissions and solves."""
 
 import hashlib
 import json

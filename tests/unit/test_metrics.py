@@ -96,6 +96,15 @@ def test_success_is_relative_to_the_inliers_but_metric_for_3dmatch(rng):
     assert METRICS["success"].compute(case(near, T_true, rng, success_limits={"rmse": 0.2}))
 
 
+@pytest.mark.parametrize("share", [0.04, 0.06])
+def test_success_on_shapes_does_not_depend_on_their_rotation(rng, share):
+    for angle in (0, 30, 45):
+        T_true = similarity(angle, 0.8, (0, 0))
+        near = similarity(angle, 0.8, (0.8 * share, 0))
+        found = METRICS["success"].compute(case(near, T_true, rng, shape_length=0.8))
+        assert found == (share < 0.05)
+
+
 def test_objective_takes_the_best_pairs_at_the_pose(rng):
     shift = similarity(0, 1, (0.01, 0))
     judged = case(shift, np.eye(3), rng, n_inliers=5)

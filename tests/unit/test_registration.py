@@ -219,6 +219,23 @@ def test_certificate_of_a_search_is_verified_separately(
     assert not dcreg.verify(tmp_path / "proof.npz", source + 1e-3, target).accepted
 
 
+def test_a_bound_that_is_asked_for_works_alone(rng):
+    source = rng.random((40, 2))
+    target = source + 0.02 * rng.standard_normal(source.shape)
+    target[30:] = rng.random((10, 2))
+    default, named = (
+        dcreg.register(
+            source, target, n_inliers=30, model="similarity2d", node_limit=20_000,
+            options=dcreg.SolveOptions(bound=bound),
+        )
+        for bound in (None, "tight")
+    )  # fmt: skip
+    assert "distances" in {stage.name for stage in default.stages}
+    assert "distances" not in {stage.name for stage in named.stages}
+    assert default.status is named.status is Status.OPTIMAL
+    assert default.objective == pytest.approx(named.objective)
+
+
 def test_mode_full_refuses_what_it_would_ignore(spatial):
     source, target, _ = spatial
     with pytest.raises(dcreg.InputError, match="bound: mode 'full' has its own bounds"):

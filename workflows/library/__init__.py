@@ -1,1 +1,1 @@
-"""The library of problems with proven optima: how its problems are made, solved and run."""
+"""The problem library: how its problems are made, solved and run."""

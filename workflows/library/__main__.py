@@ -1,4 +1,4 @@
-"""Make, solve and record the library of problems; run other methods on it."""
+"""Make, solve and record the problem library; run other methods on it."""
 
 from __future__ import annotations
 

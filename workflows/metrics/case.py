@@ -32,6 +32,7 @@ class Case:
     scope: str = ""  # what the lower bound refers to
     is_downsampled: bool = False  # the method received fewer points: its objective is another one
     truth_in_cube: float = np.nan  # 1 or 0; of methods that search a cube of translations
+    shape_length: float | None = None  # longest side of the shape at the reference scale, if known
 
     @property
     def dim(self) -> int:
@@ -57,7 +58,9 @@ class Case:
 
     @cached_property
     def longest_side(self) -> float:
-        """Longest side of the bounding box of the target's true inliers."""
+        """Longest side of the shape or, if unknown, of the bounding box of the target's true inliers."""
+        if self.shape_length is not None:
+            return self.shape_length
         return float(np.ptp(self.inliers[1], axis=0).max())
 
     @cached_property

@@ -97,12 +97,13 @@ def solve_identity(wildcards):
 
 # Looks at every file of the method, and there are thousands of jobs.
 @functools.cache
-def fingerprint(baseline):
-    return registry.fingerprint(baseline)
+def fingerprint(name):
+    method = EXPERIMENT.method(name)
+    return registry.fingerprint(method.baseline, options=method.options)
 
 
 def solve_fingerprint(wildcards):
-    return fingerprint(EXPERIMENT.method(wildcards.method).baseline)
+    return fingerprint(wildcards.method)
 
 
 # An output as a result in Snakemake's own report: `make snakemake-report`.

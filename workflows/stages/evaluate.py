@@ -15,6 +15,8 @@ import pandas as pd
 
 from baselines import registry as methods
 from data import registry
+from data.contract import PrototypeDataset
+from dcreg.problem import scale_of
 from workflows import records
 from workflows.instances import Problem, Truth, read_problems, read_truths
 from workflows.metrics import BROKEN, METRICS, Case, Metric
@@ -36,13 +38,21 @@ def evaluate(folder: Path, plan_path: Path) -> pd.DataFrame:
         for row in plan.drop_duplicates("method").to_dict("records")
     }
     limits = {dataset: success_limits(dataset) for dataset in plan["dataset"].unique()}
+    normalised = {dataset for dataset in limits if is_normalised(dataset)}
     tables = []
     for chunk_id, planned in plan.groupby("chunk_id", sort=False):
         problems = {p.instance_id: p for p in read_problems(folder / f"instances/{chunk_id}.npz")}
         truths = read_truths(folder / f"truth/{chunk_id}.npz")
         datasets = dict(zip(planned["instance_id"], planned["dataset"], strict=True))
         rows = [
-            judge(run, problems[key], truths[key], limits[datasets[key]], options[method])
+            judge(
+                run,
+                problems[key],
+                truths[key],
+                limits[name := datasets[key]],
+                options[method],
+                normalised=name in normalised,
+            )
             for method in planned["method"].unique()
             for run in _raw(folder / f"runs/{method}/{chunk_id}.parquet")
             if (key := run["instance_id"]) in datasets
@@ -65,16 +75,24 @@ def success_limits(dataset: str) -> dict[str, float]:
     return found[dataset].card.success_limits if dataset in found else {}
 
 
+def is_normalised(dataset: str) -> bool:
+    """Tell whether the shapes of a dataset have the longest side 1."""
+    return isinstance(registry.datasets().get(dataset), PrototypeDataset)
+
+
 def judge(
     run: Mapping[Any, Any],
     problem: Problem,
     truth: Truth,
     limits: Mapping[str, float] | None = None,
     options: Mapping[str, Any] | None = None,
+    *,
+    normalised: bool = False,
 ) -> dict[str, Any]:
     """Return the metrics of one run; without a pose they are empty, and those of yes or no are no.
 
-    `options` are all options of the method, defaults included.
+    `options` are all options of the method, defaults included. The shape of a `normalised` dataset has
+    the longest side 1 before the reference pose.
     """
     row: dict[str, Any] = {
         "run_id": run["run_id"],
@@ -101,6 +119,7 @@ def judge(
         is_downsampled=(run["n_source"], run["n_target"])
         != (len(problem.source), len(problem.target)),
         truth_in_cube=truth_in_cube(run, problem, truth, options or {}),
+        shape_length=scale_of(truth.T_true) if normalised else None,
     )
     for name, metric in METRICS.items():
         # Metrics of the ground truth alone also have a value where the method found no pose.

@@ -103,7 +103,7 @@ def _rows(
     """Yield a row per instance, in order: from a journal, solved now, or `refused` with the reason."""
     jobs = os.environ.get("DCREG_PARALLEL_JOBS", "1")
     constant = {
-        "fingerprint": registry.fingerprint(method.baseline),
+        "fingerprint": registry.fingerprint(method.baseline, options=method.options),
         "machine_id": provenance.machine_card()["machine_id"],
         "parallel_jobs": float(jobs) if jobs else None,
     }

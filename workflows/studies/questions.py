@@ -175,8 +175,8 @@ def _in_ranges(asked: Asked) -> Iterator[tuple[str, str]]:
 
 
 def proven(found: dcreg.Result) -> str:
-    """Return the status, and how much of the optimum is proven."""
-    return f"`{found.status}`, {percent(found.bound_ratio)} proven"
+    """Return the status, and the lower bound divided by the upper bound."""
+    return f"`{found.status}`, L/U {percent(found.bound_ratio)}"
 
 
 def _uncertainty(found: dcreg.Result) -> str:

@@ -106,6 +106,11 @@ def test_a_method_with_its_own_bound_searches_all_points(monkeypatch):
     assert result.downsampled is None
 
 
+def test_a_bound_in_our_search_works_alone():
+    for name in ("rpm_htb", "rpm_bp"):
+        assert registry.load(name, search="ours").mode("similarity2d").make_cover is None
+
+
 def test_hbsp_bounds_rotations_alike_with_any_threads(rng):
     space = Rotation3D(rng.normal(size=(7, 3)), rng.normal(size=(6, 3)), 5)
     boxes = Boxes.of(space.roots()[:1])
