@@ -184,6 +184,7 @@ def _run(
     if time.monotonic() >= end:
         return _stopped(INTERRUPTED, end, console)
     before, began = set(campaign.ended()["run_id"]), time.monotonic()
+    shown = campaign.shown()
     plan = expand(campaign.experiment, part, origin(campaign.name)) if part else campaign.plan()
     code = run_snakemake(
         campaign.directory,
@@ -208,6 +209,11 @@ def _run(
         },
     )  # fmt: skip
     console.print(f"          took {actual / 60:.0f} min of CPU")
+    if has_ended and not part and expected.runs and campaign.shown() == shown:
+        console.print(
+            "stopped   the block added no run, so it would be chosen again", soft_wrap=True
+        )
+        return False
     return has_ended or _stopped(code, end, console)
 
 
@@ -223,7 +229,8 @@ def _stopped(code: int, end: float, console: Console) -> bool:
 def _targets(campaign: Campaign, plan: Plan) -> list[str]:
     """Return what Snakemake makes: the tables of all blocks, or just the runs of a pilot."""
     if plan.needs is not None:
-        return ["tables"]
+        # tables from an archive, without the runs behind them, are up to date to Snakemake
+        return ["tables", "--forcerun", "aggregate"]
     runs = f"results/{campaign.experiment.name}/runs"
     return [f"{runs}/{method.name}/{chunk.name}.parquet" for method, chunk in plan.jobs()]
 

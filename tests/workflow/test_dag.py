@@ -5,6 +5,7 @@ The stages run in a copy of the checkout, so that sources can be edited as a dev
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -22,9 +23,13 @@ import pandas as pd
 import psutil
 import pytest
 from click.testing import Result
+from rich.console import Console
 from typer.testing import CliRunner
 
 import workflows.metrics.errors
+from reports.campaign import run as campaigning
+from reports.campaign.campaign import Campaign
+from reports.campaign.forecast import Forecast
 from workflows.__main__ import app
 from workflows.blocks import Needs
 from workflows.integrity import DAMAGED, opened
@@ -275,6 +280,31 @@ def test_a_run_that_is_not_needed_is_counted_and_not_made(checkout):
     assert not runs.loc[runs["method"] == "icp", "success"].any()
     checkout.command("experiment", str(tables), "page.html", module="reports")
     assert "not needed" in (checkout.root / "page.html").read_text()
+
+
+def test_a_block_runs_although_tables_of_an_archive_lie_there(tmp_path, monkeypatch):
+    monkeypatch.setenv("DCREG_ARCHIVES", "")
+    config = tmp_path / "tiny.yaml"
+    config.write_text(CONFIG)
+    needs, console = Needs({"noise": {"icp": 1}}), Console(file=io.StringIO(), width=200)
+    for place, added in (("made", {"icp": 2}), ("adopted", {"icp": 2, "dcreg": 2}), ("again", {})):
+        campaign = Campaign(str(config), tmp_path / place)
+        if place == "adopted":  # only tables, without the runs behind them
+            made = tmp_path / "made/results/tiny/evidence/tables"
+            shutil.copytree(made, campaign.folder / "tables")
+            needs = needs.with_block("noise", ["dcreg"], [0.0, 0.02])
+        if place == "again":
+            campaign = Campaign(str(config), tmp_path / "adopted")
+        needs.write(campaign.needs_path)
+        end, expected = time.monotonic() + 300.0, Forecast(2, 1.0, 0)
+        ran = campaigning._run(
+            campaign, "claim", expected, end=end, cores=2, out=tmp_path, console=console
+        )
+        assert ran == bool(added)
+        runs = campaign.tables().runs
+        counts = runs[runs["outcome"] != "not_needed"].groupby("method").size().to_dict()
+        assert not added or counts == added
+    assert "the block added no run" in console.file.getvalue()
 
 
 FIGURE = next((CHECKOUT / "reports" / "figures").glob("[a-z]*.py"))
