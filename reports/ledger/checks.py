@@ -16,7 +16,9 @@ import pandas as pd
 from reports.ledger import intervals
 from reports.ledger.evidence import SHARED
 from reports.ledger.finding import (
+    DAYS,
     LEAST,
+    UNEQUAL_DAYS,
     WORK,
     Finding,
     Parameters,
@@ -33,9 +35,6 @@ from reports.ledger.finding import (
 from reports.theme import words
 
 ROTATION = "depends on the rotation stage, which is a reconstruction"
-# Runs of one machine were made on different days, and the same work took up to this factor longer.
-DAYS = 2.0
-UNEQUAL_DAYS = f"times of the same work differ between days by up to a factor of {DAYS:g}"
 SHARES = ("success", "search_error")  # quantities of which a mean is a share
 # An error is low within this factor of the fit to the true pairs, or below this error above the floor.
 LOW_FACTOR, LOW_EXCESS = 1.1, 0.02

@@ -16,7 +16,9 @@ import pandas as pd
 from reports.ledger import intervals
 from reports.ledger.finding import (
     CUT,
+    DAYS,
     TIMES,
+    UNEQUAL_DAYS,
     Finding,
     Parameters,
     Source,
@@ -119,12 +121,20 @@ def race(source: Source, p: Parameters) -> Finding:
             finding.miss(f"a bound above 0 of {name} or {rival} for {instances}")
         both = both.dropna(subset=columns)
         for place, part in groups(both, p):
-            found = intervals.ratio(*of_trials(part, "mine", "other", by="sum").T)
+            mine, others = of_trials(part, "mine", "other", by="sum").T
+            found = intervals.ratio(mine, others)
             finding.add(
                 (name, rival), place, found, p["claimed"], part, of_rival(part, theirs),
+                extremes=_between_days(mine, others) if timed else None,
                 rises=bool(part["mine_open"].any()), falls=bool(part["other_open"].any()),
             )  # fmt: skip
     return finding
+
+
+def _between_days(mine: np.ndarray, others: np.ndarray) -> intervals.Extremes:
+    """Return how small and how large a ratio of times from different days can be."""
+    ends = intervals.ratio(mine, DAYS * others), intervals.ratio(DAYS * mine, others)
+    return intervals.Extremes(*ends, UNEQUAL_DAYS)
 
 
 def _histories(

@@ -35,6 +35,9 @@ LEAST = {"time": "translation_time"}
 CUT = {"translation_time": "translation_limited", "translation_nodes": "translation_limited"}
 OF_RIVAL = ("limited", "gap_tol", "translation_limited", "translation_time", "parallel_jobs")
 TIMES = ("time", "translation_time")
+# Runs of one machine were made on different days, and the same work took up to this factor longer.
+DAYS = 2.0
+UNEQUAL_DAYS = f"times of the same work differ between days by up to a factor of {DAYS:g}"
 # Quantity -> the one shown in the second column.
 SECOND = {"error": "excess", "time": "n_assignments", "translation_time": "translation_nodes"}
 WITH_SECOND = ("ratio", "value", "rise", "slope", "scatter", "race")  # kinds with a quantity

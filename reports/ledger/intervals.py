@@ -10,22 +10,19 @@ runs can be added until a claim is decided:
   entirely on that side, so p-values and intervals always agree. It is the inverse of an e-value:
 
   - shares: beta-binomial mixture (Robbins, *Ann. Math. Statist.* 41, 1970), exact for independent
-    trials. A trial may have a share between 0 and 1: its likelihood ratio is convex in this share, so
-    its mean is at most that for 0 and 1, and the mixture remains an e-value;
+    trials. A trial may have a share between 0 and 1, because its likelihood ratio is convex in it;
   - medians: the same mixture for the share of trials on either side;
   - all other estimates: the t-statistic with a normal prior on the effect (Wang and Ramdas, *Sequential
     Anal.* 44, 2025). It is exact for means of normal values and holds asymptotically for others, as in a
     central limit theorem (Waudby-Smith et al., *Ann. Statist.* 52, 2024). The standard error is that of
     bootstrap draws.
 
-  A maximum over runs has no interval: one counterexample refutes. It is confirmed like values that all
-  agree, once more than `ALIKE` of all trials are shown to be below.
+  One counterexample refutes a maximum. It is confirmed once `ALIKE` of all trials are shown below it.
 - Within a claim, Holm's procedure keeps the probability of any wrong decision below `LEVEL`. In the
   order of their p-values, comparison i of m is decided at ``LEVEL / (m - i + 1)``; the procedure stops
   at the first comparison that is not decided. Each interval is shown at the level that decides it.
-- Comparisons with fewer than `MIN_TRIALS` trials are not decided. They take part in the correction, and
-  so do planned ones without runs (`reports.ledger.planned`), because the number of comparisons must not
-  depend on when the results are looked at.
+- Comparisons with fewer than `MIN_TRIALS` trials are not decided. They take part in the correction, as do
+  planned ones without runs (`reports.ledger.planned`): their number must not depend on the moment.
 - `needed` estimates from the observed effect and spread how many trials decide an open comparison.
 """
 
@@ -341,9 +338,8 @@ def p_values(
 ) -> tuple[float, float]:
     """Return the p-values of lying on the claimed side and of lying on the other side.
 
-    If `rises`, runs at a limit could increase the value, so it cannot be shown to lie below a threshold.
-    If `falls`, they could decrease it, so it cannot be shown to lie above one. With `extremes`, the
-    minimum decides whether the value lies above a threshold, and the maximum whether it lies below.
+    If it `rises` (`falls`), runs at a limit could increase (decrease) the value, so it cannot be shown to
+    lie below (above) a threshold. The minimum of `extremes` decides about above, the maximum about below.
     """
     ((side, threshold),) = claimed.items()
     least, most = (extremes.least, extremes.most) if extremes else (estimate, estimate)
@@ -373,8 +369,7 @@ def decide(on_it: float, on_the_other: float, level: float) -> str:
 def needed(estimate: Estimate, claimed: Claimed, level: float) -> int | None:
     """Return how many trials decide the comparison with probability `POWER`; None if unknown.
 
-    The number is unknown for fewer than `MIN_SPREAD` trials and without a spread. If it exceeds
-    `MOST_NEEDED`, as for effects near 0, `MOST_NEEDED` is returned.
+    It is unknown for fewer than `MIN_SPREAD` trials and without a spread, and at most `MOST_NEEDED`.
     """
     if estimate.n < MIN_SPREAD:
         return None

@@ -463,7 +463,7 @@ def test_methods_that_are_not_installed_are_not_compared(monkeypatch):
         ("low-def", 6),  # levels
         ("time-easy", 2 * 6 + 2),
         ("time-hard", 3 * 2),  # tests, time and boxes
-        ("eps-min", 5 * 2),  # tests, both priors
+        ("eps-min", 5 * 2 + 5),  # tests, both priors
         ("robust-extreme", 5 * 4),  # top levels of the tests; RPM-HTB has two variants
         ("half-occl", 3 * 4),
         ("occl-stable", 4 + 4),
