@@ -111,7 +111,7 @@ class Measured:
                 success=runs["success"].astype(bool),
                 error=error,
                 # not the status: tolerances differ between methods
-                certified=(runs["bound_ratio"] >= 1.0 - CERTIFIED_GAP) & of_pose,
+                certified=(runs["bound_ratio"] >= 1.0 - CERTIFIED_GAP - 1e-9) & of_pose,
                 closed=runs["bound_ratio"].clip(0.0, 1.0),
             ),
         )
