@@ -25,6 +25,7 @@ from dcreg.certificate.vectors import cross, matrices, plus_duals, squared_dista
 WORTH_ASSIGNMENT = 0.7  # share of the bound needed from which the pairs of caps are assigned
 FEW_PAIRS = 1000  # the search bounds boxes of so few by caps only
 MAX_CELLS = 1 << 20  # costs held at once
+N_STEPS = 16  # of the grid of `joint_loss`
 BITS = (np.arange(8)[:, None] >> np.arange(3)) & 1
 # For each facet, which coordinates of the quaternions are at their upper end at the 8 vertices.
 ENDS = np.array([np.insert(BITS, axis, 0, axis=1) for axis in range(4)], dtype=bool)
@@ -315,13 +316,13 @@ class RigidPoses(Objective):
 
     def joint_loss(self, boxes: Boxes) -> Loss:
         """Return the loss of the mean of the costs at the centre and at the vertices."""
-        square = boxes.tangent**2
-        return Loss(
-            2.0 * square * np.sqrt(self.inertia),
-            2.0 * square / np.sqrt(1.0 + square) * boxes.shift * self.k * self.mean
-            + 0.77 * square * boxes.tangent * self.spread
-            + 0.5 * square * square * self.inertia,
-        )
+        square = 2.0 * boxes.tangent**2
+        drift = square * boxes.shift * self.k * self.mean
+        spread, inertia = square * boxes.tangent * self.spread, 0.5 * square**2 * self.inertia
+        u = np.linspace(0.0, 1.0, 1 + N_STEPS)
+        rest = np.array([drift, spread, inertia]).T @ np.array([u**2, u - u**3, u**2 - u**4])
+        beyond = (6.0 * spread + 10.0 * inertia) / (8.0 * N_STEPS**2)  # between points of the grid
+        return Loss(square * np.sqrt(self.inertia), rest.max(axis=1) + beyond)
 
     def cayley_bound(self, boxes: Boxes, duals: np.ndarray, needed: float) -> np.ndarray:
         """Bound by Cayley's form, linearised at the best pose for the cheapest pairs at the centre."""

@@ -2,6 +2,7 @@
 
 from functools import reduce
 from itertools import combinations, product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from dcreg.assignment.objective import k_assignment, objective
+from dcreg.certificate.rigid import RigidPoses
 from dcreg.families.protocol import Strongest
 from dcreg.families.rigid3d import vertex_values
 from dcreg.families.rigid3d.bound import RigidBound
@@ -37,6 +39,7 @@ from dcreg.families.rigid3d.kernels.stationary import (
     Limits,
     costs_at_vertices,
     joint_loss_of,
+    largest_rest,
     loss_of,
     needed,
     proven,
@@ -437,6 +440,25 @@ def test_limits_of_a_matching_hold_for_every_choice_of_points(rng):
         assert limits.inertia == pytest.approx(inertia)
         assert drift - 1e-9 <= limits.drift <= 1.1 * drift + 1e-9
         assert spread <= limits.spread + 1e-9
+
+
+@given(st.lists(st.floats(0.0, 10.0), min_size=3, max_size=3))
+def test_the_joint_loss_is_slightly_above_its_maximum(parts):
+    drift, spread, inertia = parts
+    u = np.linspace(0.0, 1.0, 2001)
+    most = (drift * u**2 + (spread * u + inertia * u**2) * (1.0 - u**2)).max()
+    assert most - 1e-9 <= largest_rest(drift, spread, inertia) <= 1.02 * most + 1e-9
+
+
+def test_the_joint_loss_of_a_box_is_that_of_its_certificate(rng):
+    inertia, mean, spread = rng.uniform(0.0, 5.0, 3)
+    check = SimpleNamespace(k=7, inertia=inertia, mean=mean, spread=spread)
+    tangents, shifts = rng.uniform(0.0, 0.6, (2, 50))
+    found = RigidPoses.joint_loss(check, SimpleNamespace(tangent=tangents, shift=shifts))
+    for tangent, shift, *theirs in zip(tangents, shifts, *found, strict=True):
+        box = BoxGeometry(np.empty((0, 3)), np.zeros(3), tangent, shift)
+        ours = joint_loss_of(box, Limits(inertia, 7 * mean, spread))
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
 
 def test_without_its_loss_the_bound_would_exceed_local_optima(rng):

@@ -60,14 +60,15 @@ remaining terms are as follows. With d = r_a - r, and x as seen from R*,
 because conj(q*) q_v has the vector part d - r x d for quaternions (1, r) and (1, r_a). Summed over the
 pairs this is at most 4 (d.J d + |r| |d|^2 S + |r|^2 |d|^2 I), where J is the tensor of inertia and S
 the difference of two eigenvalues of sum p x x^T: the vector r x d matters only as far as J is not
-isotropic. The mean of |d|^2 is at most tau^2 - |r|^2 with tau = max |r_a|, so half of the last two
-terms is at most 0.77 tau^3 S + tau^4 I / 2. Shifts and rotations do not mix, because the mean of s_b -
-s is 0, and 1 - cos w_v <= 2 |d|^2. Therefore
+isotropic. The mean of |d|^2 is at most tau^2 - |r|^2 with tau = max |r_a|. Shifts and rotations do not
+mix, because the mean of s_b - s is 0, and 1 - cos w_v <= 2 |d|^2. With u = |r| / tau therefore
 
-    E* + 2 tau^2 sqrt(I) sqrt(E*) + 2 tau^2 / sqrt(1 + tau^2) |s| D + 0.77 tau^3 S + tau^4 I / 2
+    E* + 2 tau^2 sqrt(I) sqrt(E*)
+       + max over u in [0, 1] of 2 tau^2 (|s| D u^2 + (tau S u + tau^2 I u^2) (1 - u^2))
         >=  min over v of (C_v + e_v) / 2,
 
-where D and I are those of the first bound. If e_v is unknown, E* may replace it, because no pose is
+where D and I are those of the first bound. The terms of S and I are 0 at the vertices, where that of D
+is greatest. If e_v is unknown, E* may replace it, because no pose is
 better for P*. C_v then has to reach the required value itself, with twice the loss. A value at a vertex
 serves all boxes that have it, up to 64, and their children. It is computed like that of a centre, from
 the dual variables of the first box that requests it. A box first requests the values at few vertices,

@@ -61,6 +61,8 @@ class BoxStates(NamedTuple):
         The `Loss` of the mean of C and the value at a vertex.
     slots : (B, 64) int32 array
         Slots of known vertices; -1 elsewhere.
+    undecided : (B,) uint64 array
+        A bit for each vertex whose value is needed.
     states : (B,) int8 array
         VALUES_NEEDED, OPEN or PRUNED.
     """
@@ -68,6 +70,7 @@ class BoxStates(NamedTuple):
     costs: np.ndarray
     losses: np.ndarray
     slots: np.ndarray
+    undecided: np.ndarray
     states: np.ndarray
 
 
@@ -75,13 +78,14 @@ def allocate_states(count: int) -> BoxStates:
     """Allocate the states of `count` open boxes."""
     return BoxStates(
         np.empty((count, VERTICES)), np.empty((count, 2)),
-        np.full((count, VERTICES), -1, np.int32), np.full(count, OPEN, np.int8),
+        np.full((count, VERTICES), -1, np.int32), np.zeros(count, np.uint64),
+        np.full(count, OPEN, np.int8),
     )  # fmt: skip
 
 
 @jit
 def judge_boxes(known, lower, upper, boxes, cutoff):
-    """Decide boxes by the known values: update their states."""
+    """Decide boxes by the known values: update their states, and which vertices are undecided."""
     theta = np.empty(7)
     for box in range(lower.shape[0]):
         if boxes.states[box] == VALUES_NEEDED:
@@ -116,10 +120,8 @@ def request_values(known, used, lower, upper, boxes, cutoff, most, requests):
             continue
         alone, together = _goals(boxes, box, cutoff)
         for vertex in range(VERTICES):
-            cost, slot = boxes.costs[box, vertex], boxes.slots[box, vertex]
-            # if only one is requested, most of them need not be looked up
-            is_open = most == 1 or slot < 0 or _may_improve(known, slot, 2.0 * together - cost)
-            left[vertex] = cost if is_open else np.inf
+            is_open = (boxes.undecided[box] >> np.uint64(vertex)) & np.uint64(1)
+            left[vertex] = boxes.costs[box, vertex] if is_open else np.inf
         limit = count + most
         while count < limit:
             at = place_of_least(left)
@@ -171,13 +173,13 @@ def _may_improve(known, slot, goal):
 
 @jit
 def _judged(known, lower, upper, boxes, box, cutoff, theta):
-    """Return the state of a box by the known values."""
+    """Return the state of a box by the known values; store which vertices are undecided."""
     alone, together = _goals(boxes, box, cutoff)
     rotations, shifts = np.empty(8, np.uint64), np.empty(8, np.uint64)
     for part in range(8):
         vertex_pose(lower, upper, 9 * part, theta)
         rotations[part], shifts[part] = _hashes(theta)
-    state = PRUNED
+    undecided = np.uint64(0)
     for vertex in range(VERTICES):
         cost, slot = boxes.costs[box, vertex], boxes.slots[box, vertex]
         if cost >= alone:
@@ -186,14 +188,15 @@ def _judged(known, lower, upper, boxes, box, cutoff, theta):
             vertex_pose(lower, upper, vertex, theta)
             place = _place(known, theta, _joined(rotations[vertex >> 3], shifts[vertex & 7]))
             slot = boxes.slots[box, vertex] = known.table[place]
-        if slot < 0:
-            state = VALUES_NEEDED
-        elif known.values[slot] < 2.0 * together - cost:
-            if not known.is_final[slot]:
-                state = VALUES_NEEDED
-            elif cutoff < np.inf:
+        is_open = slot < 0
+        if not is_open and known.values[slot] < 2.0 * together - cost:
+            is_open = not known.is_final[slot]
+            if not is_open and cutoff < np.inf:
                 return OPEN
-    return state
+        if is_open:
+            undecided |= np.uint64(1) << np.uint64(vertex)
+    boxes.undecided[box] = undecided
+    return VALUES_NEEDED if undecided else PRUNED
 
 
 @jit
