@@ -262,7 +262,7 @@ def fingerprint(
     package = f" {card.requires} {version(card)}" if card.requires else ""
     chosen = card.parameters | dict(options or {})
     if card.library_search and card.library_search.items() <= chosen.items():
-        package += f", {fingerprint('dcreg')}"
+        package += f" + {fingerprint('dcreg')}"
     known = known_codes(root or root_of(name)).get(name, {})
     if known.get("version") == card.version and code in known["codes"]:
         return f"{name} {card.version}{package}"

@@ -33,6 +33,7 @@ OURS, WITH_DISTANCES = "ours", "ours, with distances"
 STATED, RECONSTRUCTED = "its own (Algorithm 1)", "its own (reconstructed)"
 PUBLISHED = "DC, published"
 CERTIFIED_GAP = 0.01  # relative gap up to which an optimum counts as certified, for all methods
+CERTIFIED = f"L/U ≥ {1 - CERTIFIED_GAP:g}"
 # Columns of `Measured.runs`, besides those added by `Measured.of_tables`.
 KEPT = (
     "run_id", "instance_id", "model", "shape", "test", "level", "trial", "method", "display_name",
@@ -235,7 +236,7 @@ def separation(measured: Measured, model: str) -> Shown | None:
             _count(part["n_assignments"]), number(part["time_solve_s"].median(), 2),
         ])  # fmt: skip
     head = (
-        "bound", "search", "instances", "success rate", "mean RMSE (longest sides)", "certified",
+        "bound", "search", "instances", "success rate", "mean RMSE (longest sides)", CERTIFIED,
         "median lower / upper bound", "median boxes", "median assignments", "median time (s)",
     )  # fmt: skip
     return Shown(head, rows)
@@ -309,7 +310,7 @@ def effect_of_n_inliers(measured: Measured) -> Shown | None:
                 MISSING if ratio == ratios[0] else _change(change),
             ])  # fmt: skip
     head = (
-        "method", "model", "n_p / true pairs", "instances", "success rate", "certified",
+        "method", "model", "n_p / true pairs", "instances", "success rate", CERTIFIED,
         "wrong poses with E ≤ E(reference)", "change of the success rate",
     )  # fmt: skip
     return Shown(head, rows) if rows else None

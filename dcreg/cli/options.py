@@ -220,6 +220,7 @@ class Search:
         point pairs.
     bound : NAME
         Bounding function, which computes the lower bounds: {bounds}; 'a+b' takes the maximum of two.
+        A bound that is given works alone, without the stage 'distances'.
     start_box : NAME
         Box in which the search starts: {start_boxes}. Both contain every optimum; radius is larger.
     rel_gap : X

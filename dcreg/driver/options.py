@@ -36,7 +36,8 @@ class SolveOptions:
         mode that ran, and `Result.certificate_scope` what its bounds refer to.
     bound : str, optional
         Bounding function, which computes the lower bounds, one of `dcreg.bound_names`; ``a+b`` takes the
-        maximum of two. Default: ``tight``. Mode ``full`` has its own bounds and accepts none.
+        maximum of two. Default: ``tight``, with the stage ``distances`` in 2D; a bound that is
+        given works alone. Mode ``full`` has its own bounds and accepts none.
     start_box : {"stationary", "radius"}
         Box in which the search starts; both contain every optimum. ``radius`` follows only from the radii
         of the clouds. ``stationary`` uses the fact that an optimal pose is stationary: its translation is
@@ -63,8 +64,8 @@ class SolveOptions:
         above 4,000,000 point pairs.
     prove : bool
         Search to the time limit for a proof. By default, mode ``full`` and searches of samples give up
-        early and end as ``converged``: after about five seconds of one thread (25 if another initial pose
-        is nearly as good), and after half a second at most for a sample. Sweeps over all points, and
+        early and end as ``converged``: after about five seconds of one thread (25 if the initial poses
+        are not confirmed), and after half a second at most for a sample. Sweeps over all points, and
         searches with a limit on boxes or assignments, continue to their limits.
     assignment_limit : int, optional
         Maximum number of exact assignments of each search, including those of the initial poses. In

@@ -16,13 +16,14 @@ import pandas as pd
 from reports.ledger import intervals
 from reports.ledger.evidence import SHARED
 from reports.ledger.finding import (
-    DAYS,
     LEAST,
+    TIMES,
     UNEQUAL_DAYS,
     WORK,
     Finding,
     Parameters,
     Source,
+    between_days,
     check,
     groups,
     limits,
@@ -76,16 +77,16 @@ def _extreme_ratios(part: pd.DataFrame, quantity: str) -> intervals.Extremes | N
     The rotation stage of either method, which we reconstructed, may take no time, and the two methods may
     have run on days on which the same work took more or less time (`DAYS`).
     """
-    if quantity not in LEAST:
+    if quantity not in TIMES:
         return None
-    names = quantity, LEAST[quantity], f"{quantity}_rival", f"{LEAST[quantity]}_rival"
-    mine, least, others, their_least = of_trials(part, *names, by="sum").T
+    mine, others = of_trials(part, quantity, f"{quantity}_rival", by="sum").T
+    if quantity not in LEAST:
+        return between_days((mine, others), (mine, others))
+    rest = LEAST[quantity]
+    least, their_least = of_trials(part, rest, f"{rest}_rival", by="sum").T
     is_whole = (least == mine).all() and (their_least == others).all()
-    return intervals.Extremes(
-        intervals.ratio(least, DAYS * others),
-        intervals.ratio(DAYS * mine, their_least),
-        UNEQUAL_DAYS if is_whole else ROTATION,
-    )
+    because = UNEQUAL_DAYS if is_whole else f"{ROTATION}; {UNEQUAL_DAYS}"
+    return between_days((least, others), (mine, their_least), because)
 
 
 @check("value")
@@ -96,7 +97,11 @@ def value(source: Source, p: Parameters) -> Finding:
     finding = Finding(f"{words(quantity)} rate" if is_share else f"{statistic} {titled(quantity)}")
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
-            for place, part in groups(runs.dropna(subset=quantity), p):
+            valued = runs.dropna(subset=quantity)
+            for test in runs["test"].unique():
+                if not valued["test"].eq(test).any():
+                    finding.miss(f"a {titled(quantity, unit=False)} of {name} in {words(test)}")
+            for place, part in groups(valued, p):
                 of_trial = "max" if statistic == "maximum" else "mean"
                 (values,) = of_trials(part, quantity, by=of_trial).T
                 flags: dict[str, bool] = {}

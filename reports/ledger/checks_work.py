@@ -22,6 +22,7 @@ from reports.ledger.finding import (
     Finding,
     Parameters,
     Source,
+    between_days,
     check,
     groups,
     of_rival,
@@ -121,20 +122,14 @@ def race(source: Source, p: Parameters) -> Finding:
             finding.miss(f"a bound above 0 of {name} or {rival} for {instances}")
         both = both.dropna(subset=columns)
         for place, part in groups(both, p):
-            mine, others = of_trials(part, "mine", "other", by="sum").T
-            found = intervals.ratio(mine, others)
+            sums = of_trials(part, "mine", "other", by="sum").T
+            found = intervals.ratio(*sums)
             finding.add(
                 (name, rival), place, found, p["claimed"], part, of_rival(part, theirs),
-                extremes=_between_days(mine, others) if timed else None,
+                extremes=between_days(sums, sums) if timed else None,
                 rises=bool(part["mine_open"].any()), falls=bool(part["other_open"].any()),
             )  # fmt: skip
     return finding
-
-
-def _between_days(mine: np.ndarray, others: np.ndarray) -> intervals.Extremes:
-    """Return how small and how large a ratio of times from different days can be."""
-    ends = intervals.ratio(mine, DAYS * others), intervals.ratio(DAYS * mine, others)
-    return intervals.Extremes(*ends, UNEQUAL_DAYS)
 
 
 def _histories(
@@ -231,11 +226,16 @@ def sensitivity(source: Source, p: Parameters) -> Finding:
             both = whole_trials(parts[0].assign(**costs), quantity)
             if both.empty:
                 continue
-            factor = intervals.of_means(_factors, of_trials(both, *costs, by="sum"))
+            sums = of_trials(both, *costs, by="sum")
+            factor, between = intervals.of_means(_factors, sums), None
+            if quantity in TIMES:  # each of the two factors may be between days
+                low = intervals.of_means(lambda means: _factors(means) / DAYS**2, sums)
+                high = intervals.of_means(lambda means: _factors(means) * DAYS**2, sums)
+                between = intervals.Extremes(low, high, UNEQUAL_DAYS)
             limited = any(part[CUT.get(quantity, "limited")].any() for part in parts)
             finding.add(
                 names, (test, titled(quantity, unit=False)), factor, p["claimed"],
-                *parts, rises=limited, falls=limited,
+                *parts, rises=limited, falls=limited, extremes=between,
             )  # fmt: skip
     return finding
 

@@ -10,7 +10,7 @@ of the verdict); and ``cannot_refute`` (why a figure on the other side leaves th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from reports.ledger.evidence import Evidence, Experiment, Role
-from reports.ledger.intervals import Estimate, Extremes
+from reports.ledger.intervals import Estimate, Extremes, ratio
 from reports.theme import words
 from workflows.compose import QUICK
 
@@ -54,6 +54,14 @@ UNITS = {
     "violation": "contradicted lower bound",
     "missed": "known pose better by more than the tolerance",
 }
+
+
+def between_days(
+    shortest: Iterable[np.ndarray], longest: Iterable[np.ndarray], because: str = UNEQUAL_DAYS
+) -> Extremes:
+    """Return how small and how large a ratio of times of trials from different days can be."""
+    (mine, others), (most, least) = shortest, longest
+    return Extremes(ratio(mine, DAYS * others), ratio(DAYS * most, least), because)
 
 
 def titled(quantity: str, *, unit: bool = True) -> str:

@@ -221,7 +221,7 @@ class Exact:
         return _sides(_p_of_share(1.0, self.n, ALIKE) if is_below else 0.0, is_below)
 
     def needed(self, threshold: float, level: float) -> int | None:
-        return Share(1.0, self.n).needed(ALIKE, level)
+        return MIN_TRIALS if self.value > threshold else Share(1.0, self.n).needed(ALIKE, level)
 
     def least(self, threshold: float, level: float) -> int:
         return Share(1.0, 1).least(ALIKE, level)

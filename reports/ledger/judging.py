@@ -27,9 +27,9 @@ NO_VERDICT = "no verdict"
 DATA = [
     "run_id", "instance_id", "experiment", "method", "display_name", "baseline", "options_effective",
     "n_inliers_ratio", "dataset", "shape", "test", "level", "trial", "n_inliers", "status", "outcome",
-    "success", "rmse", "rmse_floor", "error", "excess", "objective", "lower_bound", "upper_bound",
-    "gap_tol", "certified", "verdict", "violation", "time_solve_s", "n_nodes", "n_assignments",
-    "machine_id",
+    "success", "rmse", "rmse_floor", "error", "excess", "objective", "objective_best", "lower_bound",
+    "upper_bound", "gap_tol", "certified", "verdict", "violation", "missed", "time_solve_s", "n_nodes",
+    "n_assignments", "machine_id",
 ]  # fmt: skip
 
 

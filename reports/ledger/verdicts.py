@@ -39,7 +39,10 @@ class Decided:
 
     @property
     def needed(self) -> int | None:
-        return intervals.needed(self.part.estimate, self.part.claimed, self.level)
+        found = _deciding(self.part)
+        if found is None:
+            return None
+        return intervals.needed(found, self.part.claimed, self.level)
 
     @property
     def least(self) -> int:
@@ -179,13 +182,26 @@ def agreed(finding: Finding, decided: Sequence[Decided]) -> list[Decided]:
 
 def _why(part: Part, level: float) -> str:
     """Return why a comparison with enough trials is open."""
-    would = intervals.p_values(part.estimate, part.claimed)
-    if intervals.decide(*would, level) == OPEN:
-        return WIDE
-    known = intervals.p_values(part.estimate, part.claimed, rises=part.rises, falls=part.falls)
-    if part.extremes is None or intervals.decide(*known, level) == OPEN:
-        return TIME_OUTS
-    return part.extremes.because
+    found = _deciding(part)
+    if found is None:
+        return part.extremes.because if part.extremes else WIDE
+    would = intervals.p_values(found, part.claimed)
+    return WIDE if intervals.decide(*would, level) == OPEN else TIME_OUTS
+
+
+def _deciding(part: Part) -> intervals.Estimate | None:
+    """Return the estimate whose interval decides: of two extremes, the one nearer to the threshold.
+
+    None if the extremes lie on different sides, where no number of trials decides.
+    """
+    if part.extremes is None:
+        return part.estimate
+    ends = {
+        intervals.distance(end, part.claimed): end
+        for end in (part.extremes.least, part.extremes.most)
+    }
+    is_split = len({at > 0.0 for at in ends}) > 1
+    return None if is_split else ends[min(ends, key=abs)]
 
 
 def _barred(part: Part, *, quick: bool) -> str:

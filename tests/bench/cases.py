@@ -147,7 +147,7 @@ class Case:
         for name in ("source", "target"):
             problem[name] = problem[name] + jitter * generator.standard_normal(problem[name].shape)
         arguments = {
-            "mode": "paper", "bound": "tight", "polish": False, "prove": True, "time_limit": LIMIT_S,
+            "mode": "paper", "polish": False, "prove": True, "time_limit": LIMIT_S,
         }  # fmt: skip
         return dcreg.register(**keywords(**(arguments | problem | self.settings | settings)))
 

@@ -201,6 +201,9 @@ def _applied(runs: pd.DataFrame, p: dict, axes: Mapping[str, float], *, true: bo
         case _, "violation":
             if not true:
                 runs.loc[runs.index[mine][3], "bound_violation"] = 1.0
+        case _, "missed":
+            if not true:
+                runs.loc[runs.index[mine][3], "upper_bound"] = 2.0
         case "value", "success":
             if is_low == true:  # otherwise the certified optima decide
                 runs.loc[mine, "success"] = np.random.default_rng(3).random(mine.sum()) < 0.1

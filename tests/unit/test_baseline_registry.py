@@ -285,7 +285,7 @@ class TestFingerprint:
             own = registry.fingerprint(name)
             assert registry.fingerprint(name, options={"search": "own"}) == own
             with_library = registry.fingerprint(name, options={"search": "ours"})
-            assert with_library == f"{own}, {registry.fingerprint('dcreg')}"
+            assert with_library == f"{own} + {registry.fingerprint('dcreg')}"
 
     def test_ignores_bytecode(self, root: Path) -> None:
         before = registry.fingerprint("mine", root)

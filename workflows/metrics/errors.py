@@ -8,8 +8,8 @@ from dcreg.problem import nearest_rotation, rotation_angle_deg, scale_of
 from workflows.metrics.case import Case, metric
 
 # A run succeeds when its error above the floor is below this share of the longest side (of the shape at
-# the reference scale; of scans: of the bounding box of the target's true inliers), unless the dataset's
-# benchmark has its own threshold.
+# the reference scale; of recorded data: of the bounding box of the target's true inliers), unless the
+# dataset's benchmark has its own threshold.
 SUCCESS_SHARE = 0.05
 # Rounding of a scale, and of a rotation's entries, at which a pose still counts as admissible.
 ADMISSIBLE_ROUNDING = 1e-6
@@ -67,9 +67,9 @@ def rmse_floor(case: Case) -> float:
 
 @metric("yes/no", "higher", 0.0, recorded=True)
 def success(case: Case) -> bool:
-    """Whether rmse_excess is below 0.05 of the longest side of the shape (of scans: of the target's true
-    inliers) or, if the card of the dataset states limits on errors, whether all these errors are below
-    their limits."""
+    """Whether rmse_excess is below 0.05 of the longest side of the shape (of recorded data: of the
+    target's true inliers) or, if the card of the dataset states limits on errors, whether all these
+    errors are below their limits."""
     if case.success_limits:
         errors = {
             "rmse": rmse, "rotation_error_deg": rotation_error_deg,
