@@ -114,7 +114,7 @@ class Card(BaseModel):
     models: list[ModelName]
     # official: the authors' own code; library: third-party code; port: our code for the algorithm in a
     # paper or in its authors' public code; reconstruction: our code, written without the full paper or
-    # the authors' code; own: a method that is not from a publication, of this project or of the user.
+    # the authors' code; own: a method of the user.
     provenance: Literal["official", "library", "port", "reconstruction", "own"]
     # Language and origin of the code that takes the time; reports state it next to times.
     language: str = Field(default="Python", min_length=1)
