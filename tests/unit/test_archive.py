@@ -141,11 +141,15 @@ def test_an_archived_optimum_without_a_lower_bound_is_restored_as_converged(resu
     assert (restored == "optimal").sum() == (runs["status"] == "optimal").sum() - 1
 
 
-def test_the_committed_archive_has_no_clouds_and_says_so(tmp_path):
+def test_the_committed_archive_says_which_clouds_it_lacks(tmp_path):
     folder = read.folder_of("0.2.0", tmp_path)  # whose checksums hold
     crate.check(folder)
-    said = list(archived_clouds.sentences(read.facts(folder)))
-    assert said[0] == "Clouds of experiment findings are only in its overlays."
+    facts = read.facts(folder)
+    has = {path.parent.name for path in folder.glob("experiments/*/clouds.parquet")}
+    lacking = sorted(set(facts["experiments"]) - has)
+    said = [each for each in archived_clouds.sentences(facts) if "only in its overlays" in each]
+    assert len(said) == len(lacking)
+    assert all(name in sentence for name, sentence in zip(lacking, said, strict=True))
 
 
 def test_histories_keep_their_ends_and_at_most_the_stated_events():
