@@ -79,7 +79,7 @@ def _identity(
     given |= {name: getattr(problem, name) for name in names}
     given |= {name: getattr(limits, name) for name in ("rel_gap", "abs_gap", "tol", "max_rms")}
     given |= {name: getattr(options, name) for name in ("start_box", "certificate", "init")}
-    given |= {"mode": mode.name, "bound": options.bound}
+    given |= {"mode": mode.name, "bound": options.bound or "default"}
     # as JSON and back, so that it compares equal to what is read from a file
     return {"version": __version__, **json.loads(as_json(given))}
 

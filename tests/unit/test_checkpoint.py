@@ -193,7 +193,7 @@ def test_another_file_is_refused_and_kept(tmp_path):
     [
         ({"rel_gap": 0.1}, r"a search with rel_gap 0\.01, not 0\.1; give the same options"),
         ({"n_inliers": 7}, "a search with n_inliers 8, not 7"),
-        ({"bound": "shared"}, "a search with bound tight, not shared"),
+        ({"bound": "shared"}, "a search with bound default, not shared"),
         ({"scale_range": (1.0, 1.0)}, r"with scale_range \[0\.5, 1\.5\], not \[1\.0, 1\.0\]"),
         ({"init": np.eye(3)}, "a search from another pose; give"),
     ],
