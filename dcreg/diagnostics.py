@@ -16,7 +16,7 @@ import numpy as np
 from dcreg import text
 from dcreg.assignment.objective import is_large
 from dcreg.assignment.sparse import nearest_pairs
-from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED, WITHIN_TOLERANCE, mode_names
+from dcreg.names import MAX_RMS_MET, NO_PROOF_EXPECTED, WITHIN_TOLERANCE
 from dcreg.problem import (
     Problem,
     apply_pose,
@@ -160,8 +160,7 @@ def nothing_proven(case: Case) -> str | None:
         return f"{known}, and no proof is expected soon"
     if result.status is Status.STOPPED:
         return f"{known}, because the search was stopped"
-    has_modes = len(mode_names(case.problem.model)) > 1
-    other = "; another mode may prove more (see the page Modes of the manual)" if has_modes else ""
+    other = ", or mode 'full'" if case.in_norm_space else ""
     return f"{known}. Increase time_limit, or use fewer points{other}"
 
 

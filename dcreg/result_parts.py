@@ -269,8 +269,8 @@ class ChosenNumber:
         return self._comparison() + (
             ""
             if self.proven is None
-            else f"\nproven: within {self.proven.distance:.3g}, the largest number of pairs is "
-            f"{self.proven.at_least} to {self.proven.at_most}"
+            else f"\nproven: the largest number of pairs that can all be within "
+            f"{self.proven.distance:.3g} is {self.proven.at_least} to {self.proven.at_most}"
         )
 
     def _comparison(self) -> str:
@@ -284,7 +284,7 @@ class ChosenNumber:
             near = (
                 "the smallest number compared"
                 if is_least
-                else "no other number fits nearly as well"
+                else "no other number compared fits nearly as well"
             )
         cut = "; not all poses and numbers were compared" * self.is_cut
         return f"{near}{cut}\nRMS residual at the pose of this choice, by number of pairs: {shown}"

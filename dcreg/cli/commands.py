@@ -227,6 +227,8 @@ def verify(
 ) -> int:
     """Check a certificate against its clouds, without the code of the search.
 
+    The check can take several times as long as the search.
+
     Exit code: 0 the claim is proven, or true but trivial; 2 bad input; 4 an
     output file could not be written; 5 the certificate is rejected (the message
     states the reason).

@@ -69,7 +69,7 @@ class SearchFiles(Files):
     Attributes
     ----------
     certificate_path : OUT.npz
-        Write a certificate for `dcreg verify`.
+        Write a certificate for `dcreg verify`. The search then continues to its limits, as with --prove.
     checkpoint_path : FILE.npz
         Save the state of the search every two minutes and at its end. If the file exists, the search
         continues from it.

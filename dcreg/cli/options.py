@@ -189,7 +189,7 @@ class Goal:
     n_inliers : K
         Pairs to match: a count, or a fraction of the smaller cloud such as 0.8. A decimal point makes it
         a fraction: '1' is one pair, '1.0' all points of the smaller cloud. By default, the library
-        chooses the number, and the result states the evidence.
+        chooses the number, and the result states the evidence; some options need a number.
     max_rms : D
         Only decide whether some pose matches K pairs with at most this RMS residual, in units of the
         target.
@@ -220,7 +220,8 @@ class Search:
         point pairs.
     bound : NAME
         Bounding function, which computes the lower bounds: {bounds}; 'a+b' takes the maximum of two.
-        A bound that is given works alone, without the stage 'distances'.
+        A bound that is given works alone, without the stage 'distances'. In 3D it selects mode paper,
+        whose bounds do not concern the pose.
     start_box : NAME
         Box in which the search starts: {start_boxes}. Both contain every optimum; radius is larger.
     rel_gap : X

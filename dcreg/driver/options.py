@@ -52,9 +52,10 @@ class SolveOptions:
         Refine the final pose locally on the full objective. The result reports this separately from the
         certificate.
     certificate : bool
-        Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verify`. In 3D, mode
-        ``full`` certifies the rigid pose; by default it is selected up to 160,000 point pairs. Mode
-        ``paper`` certifies the translation in norm space.
+        Keep the leaf boxes of the search as `Result.certificate`, for `dcreg.verify`. The search then
+        continues to its limits, as with `prove`. In 3D, mode ``full`` certifies the rigid pose; by
+        default it is selected up to 160,000 point pairs. Mode ``paper`` certifies the translation in norm
+        space.
     downsample : int, optional
         Search with at most this many points of each cloud, chosen by farthest-point sampling after
         outlier removal, and refine the pose on all points. An integer `n_inliers` refers to the full
@@ -133,6 +134,11 @@ class SolveOptions:
     def n_threads(self) -> int:
         """Threads of the search."""
         return self.threads or min(usable_processors(), MAX_DEFAULT_THREADS)
+
+    @property
+    def must_prove(self) -> bool:
+        """Whether the search continues to its limits; a certificate without a proof is of no use."""
+        return self.prove or self.certificate
 
     def refuse_checkpoint(self) -> None:
         """Refuse a checkpoint, for a function that saves none.

@@ -186,7 +186,7 @@ class Setup:
 
     def _patience_s(self) -> float | None:
         """Return how long a proof may take; None: until the limit."""
-        if self.options.prove or not (self.is_sampled or self.mode.name == "full"):
+        if self.options.must_prove or not (self.is_sampled or self.mode.name == "full"):
             return None
         if self.is_sampled:
             return SAMPLE_PATIENCE_S

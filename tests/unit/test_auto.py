@@ -109,7 +109,9 @@ def test_a_few_pairs_of_small_clouds_do_not_win_by_chance(model, n):
 def test_the_smallest_number_is_not_called_the_only_one_that_fits():
     compared = [ComparedNumber(k, 0.1 * k) for k in (3, 4, 5)]
     assert str(ChosenNumber(compared, 3, 3)).startswith("the smallest number compared\n")
-    assert str(ChosenNumber(compared, 4, 4)).startswith("no other number fits nearly as well\n")
+    assert str(ChosenNumber(compared, 4, 4)).startswith(
+        "no other number compared fits nearly as well\n"
+    )
 
 
 @pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])

@@ -207,9 +207,7 @@ def test_certificate_of_a_search_is_verified_separately(
 ):
     source, target, _ = planar if model == "similarity2d" else spatial
     target = target + 0.05 * rng.standard_normal(target.shape)
-    result = register(
-        source, target, n_inliers=0.8, model=model, mode=mode, certificate=True, prove=True
-    )
+    result = register(source, target, n_inliers=0.8, model=model, mode=mode, certificate=True)
     result.write_certificate(tmp_path / "proof.npz")
     report = dcreg.verify(tmp_path / "proof.npz", source, target)
     assert report.accepted, report.reason
@@ -217,6 +215,12 @@ def test_certificate_of_a_search_is_verified_separately(
     assert report.lower_bound == pytest.approx(needed)
     assert report.upper_bound == pytest.approx(result.upper_bound)
     assert not dcreg.verify(tmp_path / "proof.npz", source + 1e-3, target).accepted
+
+
+def test_a_certificate_is_searched_to_the_limits_like_a_proof():
+    assert dcreg.SolveOptions(certificate=True).must_prove
+    assert dcreg.SolveOptions(prove=True).must_prove
+    assert not dcreg.SolveOptions().must_prove
 
 
 def test_a_bound_that_is_asked_for_works_alone(rng):
