@@ -184,7 +184,6 @@ def _run(
     if time.monotonic() >= end:
         return _stopped(INTERRUPTED, end, console)
     before, began = set(campaign.ended()["run_id"]), time.monotonic()
-    shown = campaign.shown()
     plan = expand(campaign.experiment, part, origin(campaign.name)) if part else campaign.plan()
     code = run_snakemake(
         campaign.directory,
@@ -209,10 +208,8 @@ def _run(
         },
     )  # fmt: skip
     console.print(f"          took {actual / 60:.0f} min of CPU")
-    if has_ended and not part and expected.runs and campaign.shown() == shown:
-        console.print(
-            "stopped   the block added no run, so it would be chosen again", soft_wrap=True
-        )
+    if has_ended and not part and campaign.is_behind():
+        console.print("stopped   the tables lack runs of this block, which would be chosen again")
         return False
     return has_ended or _stopped(code, end, console)
 

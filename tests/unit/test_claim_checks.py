@@ -479,15 +479,49 @@ def test_a_time_verdict_holds_with_and_without_the_reconstructed_rotation(
     assert judged(evidence(ours, rival), swapped).verdict == verdict
 
 
+@pytest.mark.parametrize("quantity", ["time", "translation_time"])
 @pytest.mark.parametrize(
     ("seconds", "verdict"), [(1.9, OPEN), (2.1, REPRODUCED), (0.6, OPEN), (0.4, NOT)]
 )
-def test_times_of_different_days_decide_only_beyond_their_spread(seconds, verdict):
-    check = {**TIME, "claimed": {"above": 1.0}}
+def test_times_of_different_days_decide_only_beyond_their_spread(seconds, verdict, quantity):
+    check = {**TIME, "quantity": quantity, "claimed": {"above": 1.0}}
     tables = runs_of("paper", time_solve_s=seconds), runs_of("rival", time_solve_s=1.0)
     found = judged(evidence(*tables), check)
     assert found.verdict == verdict
     assert ("differ between days" in found.reason) == (verdict == OPEN)
+    if verdict == OPEN:  # more trials do not help
+        assert {each.needed for row in found.rows for each in row.decided} == {None}
+
+
+@pytest.mark.parametrize(("seconds", "needs"), [(0.9, False), (1.5, True)])
+def test_more_trials_are_needed_only_where_they_can_decide(seconds, needs):
+    """Beyond the differences between days, an interval that is too wide becomes narrower."""
+    check = {**TIME, "claimed": {"above": 1.0}}
+    wide = runs_of("paper", time_solve_s=lambda level, draw: seconds * draw**8)
+    found = judged(evidence(wide, runs_of("rival", time_solve_s=1.0)), check)
+    assert found.verdict == OPEN
+    assert ("needs" in found.reason) == needs
+    assert ("differ between days" in found.reason) != needs
+
+
+@pytest.mark.parametrize(("factor", "verdict"), [(0.3, OPEN), (0.1, REPRODUCED), (3.0, NOT)])
+def test_factors_of_times_decide_only_beyond_the_differences_of_both(factor, verdict):
+    check = {**SENSITIVITY, "quantities": ["translation_time"]}
+    seconds = {"half": 1.0, "paper": 1.0, "pa": 1.0 / factor, "rival": 1.0}
+    if factor > 1.0:
+        seconds |= {"half": factor, "pa": 1.0}
+    found = judged(evidence(*(runs_of(name, time_solve_s=s) for name, s in seconds.items())), check)
+    assert found.verdict == verdict
+
+
+def test_a_test_without_a_value_is_missing():
+    check = {**VALUE, "quantity": "violation", "statistic": "maximum", "claimed": {"at_most": 0}}
+    runs = runs_of("paper")
+    assert judged(evidence(runs), check).verdict == REPRODUCED
+    none = runs.assign(test="deformation", lower_bound=0.0, run_id="d" + runs["run_id"])
+    found = judged(evidence(pd.concat([runs, none], ignore_index=True)), check)
+    assert found.verdict == OPEN
+    assert "contradicted lower bound of" in found.reason
 
 
 def test_bounds_of_other_objectives_are_not_refuted():

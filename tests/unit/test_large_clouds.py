@@ -77,7 +77,7 @@ def test_all_matched_is_certified_without_a_dense_matrix(rng):
 
 
 def test_large_clouds_with_outliers_end_in_time(rng, processor_clock):
-    size, n_inliers, limit = 3000, 2400, 10.0
+    size, n_inliers, limit = 3000, 2400, 15.0  # time for enough rotations on a slow machine
     source = spiral(rng, size)
     target = moved_copy(rng, source)
     target[n_inliers:] = rng.uniform(target.min(axis=0), target.max(axis=0), (size - n_inliers, 3))
@@ -87,8 +87,8 @@ def test_large_clouds_with_outliers_end_in_time(rng, processor_clock):
     assert sum(stage.time_s for stage in result.stages[:2]) < 2 * limit
     assert len(result.assignment) == n_inliers
     angle, shift = pose_errors(result.T_target_source)
-    assert angle < 1.0  # a slow machine has time for few rotations
-    assert shift < 1e-2
+    assert angle < 0.5
+    assert shift < 5e-3
 
 
 @pytest.mark.parametrize(("angle", "is_near"), [(0.0, True), (2.0, False)])

@@ -45,17 +45,10 @@ def evaluate(folder: Path, plan_path: Path) -> pd.DataFrame:
         truths = read_truths(folder / f"truth/{chunk_id}.npz")
         datasets = dict(zip(planned["instance_id"], planned["dataset"], strict=True))
         rows = [
-            judge(
-                run,
-                problems[key],
-                truths[key],
-                limits[name := datasets[key]],
-                options[method],
-                normalised=name in normalised,
-            )
+            judge(run, problems[key], truths[key], limits[at], options[method], at in normalised)
             for method in planned["method"].unique()
             for run in _raw(folder / f"runs/{method}/{chunk_id}.parquet")
-            if (key := run["instance_id"]) in datasets
+            if (key := run["instance_id"]) in datasets and (at := datasets[key])
         ]
         tables.append(pd.DataFrame(rows))
     return relate(pd.concat(tables, ignore_index=True))
@@ -86,7 +79,6 @@ def judge(
     truth: Truth,
     limits: Mapping[str, float] | None = None,
     options: Mapping[str, Any] | None = None,
-    *,
     normalised: bool = False,
 ) -> dict[str, Any]:
     """Return the metrics of one run; without a pose they are empty, and those of yes or no are no.
