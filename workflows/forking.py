@@ -1,7 +1,8 @@
 """Run the stages of a workflow in processes that share their imports.
 
 The first stage starts a server process that has imported what most stages need; it forks for every stage.
-A stage has its own process, as before, but does not import pandas and SciPy again.
+A stage has its own process, but does not import pandas and SciPy again. It receives the plan, and does not
+read the config again.
 """
 
 from __future__ import annotations
@@ -9,6 +10,9 @@ from __future__ import annotations
 import multiprocessing
 import threading
 from multiprocessing.connection import wait
+
+from workflows.stages import commands
+from workflows.stages.plan import Plan
 
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(["workflows.preload"])
@@ -20,14 +24,16 @@ class StageError(RuntimeError):
     """A stage has failed; it has printed why."""
 
 
-def run_stage(program: str, *arguments: str) -> None:
+def run_stage(program: str, *arguments: str, plan: Plan | None = None) -> None:
     """Run ``python -m PROGRAM ARGUMENTS`` in a forked process and wait for its end.
+
+    `plan` is the one that the arguments describe.
 
     Raises
     ------
     StageError
     """
-    stage = _context.Process(target=_main, args=(program, arguments))
+    stage = _context.Process(target=_main, args=(program, arguments, plan))
     with _lock:
         stage.start()
     wait([stage.sentinel])
@@ -37,7 +43,8 @@ def run_stage(program: str, *arguments: str) -> None:
         raise StageError(f"`{program} {' '.join(arguments)}` ended with exit code {stage.exitcode}")
 
 
-def _main(program: str, arguments: tuple[str, ...]) -> None:
+def _main(program: str, arguments: tuple[str, ...], plan: Plan | None) -> None:
     from importlib import import_module
 
+    commands.known = plan
     import_module(f"{program}.__main__").app(arguments)

@@ -54,7 +54,7 @@ def faulty(tmp_path_factory):
         pytest.param(21, "time_limit", "s; the limit is 0.3 s", id="is late"),
         pytest.param(22, "failed", "ZeroDivisionError: planted (adapter.py:", id="raises"),
         pytest.param(23, "failed", "the limit is 0.3 s", id="hangs"),
-        pytest.param(24, "failed", "MemoryError", id="bursts"),
+        pytest.param(24, "failed", "the limit is 600 MB, twice", id="bursts"),
         pytest.param(25, "failed", "worker ended with exit code 3, twice", id="exits"),
         pytest.param(26, "failed", "worker died of SIGKILL, twice", id="is killed"),
         pytest.param(27, "failed", "worker died of SIGSEGV, twice", id="crashes"),
@@ -81,9 +81,10 @@ def test_a_search_reports_what_it_has_proven_at_most_once_a_second(faulty, monke
 
 
 @pytest.mark.parametrize(
-    ("fault", "mark"), [("crashes_once", "crashed"), ("stops_once", "stopped")]
+    ("fault", "mark"),
+    [("crashes_once", "crashed"), ("stops_once", "stopped"), ("exhausts_once", "exhausted")],
 )
-def test_a_run_whose_worker_dies_or_is_suspended_is_tried_again(tmp_path, monkeypatch, fault, mark):
+def test_a_run_whose_worker_dies_is_suspended_or_gets_no_memory_is_tried_again(tmp_path, monkeypatch, fault, mark):
     monkeypatch.setenv("DCREG_FAULT_TOKENS", str(tmp_path))
     runs = three_runs(fault, tmp_path / "log")
     assert [run["status"] for run in runs] == ["converged"] * 3

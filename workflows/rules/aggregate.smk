@@ -20,4 +20,4 @@ rule aggregate:
             "workflows/records.py", "workflows/outcomes.py", "workflows/labels.py",
         ),
     run:
-        run_stage("workflows", "aggregate", *CHOICE, OUT)
+        run_stage("workflows", "aggregate", *CHOICE, OUT, plan=PLAN)

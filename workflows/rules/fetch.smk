@@ -13,4 +13,4 @@ rule fetch:
     resources:
         fetching=1,
     run:
-        run_stage("workflows", "fetch", *CHOICE, "--chunk", wildcards.chunk, "--out", output[0])
+        run_stage("workflows", "fetch", *CHOICE, "--chunk", wildcards.chunk, "--out", output[0], plan=PLAN)

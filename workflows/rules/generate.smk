@@ -16,4 +16,4 @@ rule generate:
         sources=generate_sources,
     run:
         written = ["--instances", output.instances, "--truth", output.truth]
-        run_stage("workflows", "generate", *CHOICE, "--chunk", wildcards.chunk, *written)
+        run_stage("workflows", "generate", *CHOICE, "--chunk", wildcards.chunk, *written, plan=PLAN)

@@ -5,4 +5,4 @@ rule plan:
         plan=digest([EXPERIMENT.model_dump(), PLAN.selection.model_dump(), BLOCKS and BLOCKS.trials]),
         sources=sources("workflows/stages/plan.py", "workflows/records.py"),
     run:
-        run_stage("workflows", "plan", *CHOICE, "--out", output[0])
+        run_stage("workflows", "plan", *CHOICE, "--out", output[0], plan=PLAN)

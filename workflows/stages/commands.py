@@ -28,8 +28,13 @@ Blocks = Annotated[
 ]
 
 
+known: Plan | None = None  # the plan, in a process that received it
+
+
 def planned(experiment: str, select: list[str] | None = None, needs: Path | None = None) -> Plan:
     """Return the plan of an experiment, of a part of it, or of the blocks in the file `needs`."""
+    if known is not None:
+        return known
     from workflows.blocks import Needs
     from workflows.config import load, origin, parse_selection
     from workflows.stages.plan import expand
@@ -99,10 +104,9 @@ def solve(
     """Run a method on a chunk of instances."""
     # Raise, so that workers and their children are ended too.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    from workflows.config import load, with_methods
     from workflows.stages.solve import solve as solve_chunk
 
-    settings = with_methods(load(experiment), [method])
+    settings = planned(experiment, select, needs).experiment
     solve_chunk(
         settings,
         settings.method(method),

@@ -259,7 +259,7 @@ class Sandbox:
     def solve(self, instance: Instance) -> dict[str, Any]:
         """Return the worker's answer or, if it was lost, the status of the run; never raises.
 
-        A run whose worker died is tried again once.
+        A run whose worker died or got no memory is tried again once.
         """
         try:
             return self._try(instance)
@@ -283,6 +283,9 @@ class Sandbox:
                 status, message = self._verdict
                 return {"status": status, "message": message}
             answer = self._answer(self._worker, instance)
+            if "exhausted" in answer:
+                self._worker.kill()
+                raise WorkerDiedError(answer["exhausted"])
             if "error" in answer:
                 answer = {"status": Status.FAILED, "message": answer["error"]}
             return {**answer, "time_warmup_s": self.time_warmup_s}

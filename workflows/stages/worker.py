@@ -67,7 +67,10 @@ class Server:
         return {}
 
     def solve(self, instance: Instance, limits: Limits) -> dict[str, Any]:
-        """Solve one instance; every exception becomes a status."""
+        """Solve one instance; every exception becomes a status, except a lack of memory.
+
+        The machine may lack it, not the method, so the parent tries again in a new process.
+        """
         if reason := self.method.supports(instance):
             return {"status": Status.UNSUPPORTED, "message": reason}
         self._observe_searches()
@@ -79,9 +82,7 @@ class Server:
             time_solve_s = time.perf_counter() - start
             answer = _in_time(_checked(solution, instance.dim), time_solve_s, limits.time_s)
         except MemoryError as error:
-            time_solve_s = time.perf_counter() - start
-            message = f"MemoryError: {error}; the limit is {limits.memory_mb} MB"
-            answer = {"status": Status.FAILED, "message": message}
+            return {"exhausted": f"MemoryError: {error}; the limit is {limits.memory_mb} MB"}
         except Exception as error:
             time_solve_s = time.perf_counter() - start
             traceback.print_exc()

@@ -106,6 +106,12 @@ class Adapter(Baseline):
             mark.touch()
             self._crashes(solution)
 
+    def _exhausts_once(self, solution: Solution) -> None:
+        mark = Path(os.environ["DCREG_FAULT_TOKENS"]) / "exhausted"
+        if not mark.exists():
+            mark.touch()
+            raise MemoryError
+
     def _stops_once(self, solution: Solution) -> None:
         mark = Path(os.environ["DCREG_FAULT_TOKENS"]) / "stopped"
         if not mark.exists():
