@@ -84,7 +84,9 @@ def test_a_search_reports_what_it_has_proven_at_most_once_a_second(faulty, monke
     ("fault", "mark"),
     [("crashes_once", "crashed"), ("stops_once", "stopped"), ("exhausts_once", "exhausted")],
 )
-def test_a_run_whose_worker_dies_is_suspended_or_gets_no_memory_is_tried_again(tmp_path, monkeypatch, fault, mark):
+def test_a_run_whose_worker_dies_is_suspended_or_gets_no_memory_is_tried_again(
+    tmp_path, monkeypatch, fault, mark
+):
     monkeypatch.setenv("DCREG_FAULT_TOKENS", str(tmp_path))
     runs = three_runs(fault, tmp_path / "log")
     assert [run["status"] for run in runs] == ["converged"] * 3

@@ -1,8 +1,13 @@
 # Fetches and verifies the files that the instances of a chunk need; one at a time, as chunks share files.
-def fetch_cards(wildcards):
+@functools.cache
+def digest_of_cards(datasets):
     from workflows.stages.generate import fetched_digest
 
-    return fetched_digest(PLAN.chunk(wildcards.chunk).datasets)
+    return fetched_digest(datasets)
+
+
+def fetch_cards(wildcards):
+    return digest_of_cards(tuple(PLAN.chunk(wildcards.chunk).datasets))
 
 
 rule fetch:

@@ -1,9 +1,14 @@
 # Instances, and their ground truth in a separate file, which is an input only of solve jobs of methods
 # with the front end `oracle`.
-def generate_sources(wildcards):
+@functools.cache
+def digest_of_sources(datasets):
     from workflows.stages.generate import sources_digest
 
-    return sources_digest(PLAN.chunk(wildcards.chunk).datasets)
+    return sources_digest(datasets)
+
+
+def generate_sources(wildcards):
+    return digest_of_sources(tuple(PLAN.chunk(wildcards.chunk).datasets))
 
 
 rule generate:

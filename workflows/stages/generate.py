@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -101,7 +102,7 @@ def noise_bound(raw: RawInstance) -> float:
     return max(NOISE_FACTOR * rms, MIN_NOISE_BOUND * float(np.ptp(raw.target, axis=0).max()))
 
 
-def sources_digest(datasets: list[str]) -> str:
+def sources_digest(datasets: Iterable[str]) -> str:
     """Hash all code and cards that determine the instances of these datasets."""
     own = [path for name in datasets for path in registry.files_of(name)]
     behind = files_behind(
@@ -112,7 +113,7 @@ def sources_digest(datasets: list[str]) -> str:
     return digest([digest_paths(behind, CHECKOUT), states])
 
 
-def fetched_digest(datasets: list[str]) -> str:
+def fetched_digest(datasets: Iterable[str]) -> str:
     """Hash the folders of these datasets, whose cards list their files."""
     return digest_paths([path for name in datasets for path in registry.files_of(name)], CHECKOUT)
 

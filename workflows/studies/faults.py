@@ -245,8 +245,9 @@ def set_clock_back(sweep: Sweep) -> bool:
 FAULTS: dict[str, Callable[[Sweep], bool]] = {
     fault.__name__: fault
     for fault in (
-        kill_worker, hang_worker, crash_worker, exhaust_memory, kill_snakemake, interrupt, restart_machine, start_twice,
-        truncate_files, corrupt_files, corrupt_results, forbid_writing, fill_disk, set_clock_back,
+        kill_worker, hang_worker, crash_worker, exhaust_memory, kill_snakemake, interrupt,
+        restart_machine, start_twice, truncate_files, corrupt_files, corrupt_results, forbid_writing,
+        fill_disk, set_clock_back,
     )
 }  # fmt: skip
 
