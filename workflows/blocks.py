@@ -61,7 +61,11 @@ class Needs:
     def users(self, test: str, level: float, trial: int) -> tuple[str, ...]:
         """Return the methods that run on a trial of a test."""
         own = self.trials.get(test, {})
-        return tuple(sorted(method for method in own if trial < self.of(method, test, level)))
+        return tuple(sorted(method for method in own if self.uses(method, test, level, trial)))
+
+    def uses(self, method: str, test: str, level: float, trial: int) -> bool:
+        """Tell whether a method runs on a trial of a test."""
+        return trial < self.of(method, test, level)
 
     def of_all(self, test: str, methods: Iterable[str], levels: Sequence[float]) -> int:
         """Return the number of blocks with these levels of a test that all of these methods have."""

@@ -1,8 +1,8 @@
 """Run the stages of a workflow in processes that share their imports.
 
-The first stage starts a server process that has imported what most stages need; it forks for every stage.
-A stage has its own process, but does not import pandas and SciPy again. It receives the plan, and does not
-read the config again.
+The first stage starts a server process that has imported what most stages need; it forks for every
+stage. A stage has its own process, but does not import pandas and SciPy again. It receives the plan,
+and does not read the config again.
 """
 
 from __future__ import annotations

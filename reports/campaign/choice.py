@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from reports.campaign.comparisons import Comparison, comparisons
@@ -25,7 +25,7 @@ from reports.ledger.intervals import (
 from reports.ledger.judging import Judgement
 from reports.ledger.verdicts import FEW, WIDE, Decided
 from workflows.blocks import Needs
-from workflows.stages.plan import Plan, PlannedRun, expand
+from workflows.stages.plan import InstanceSpec, Plan, PlannedRun, blocks, expand
 
 # A step joins blocks as long as their expected time is at most this. Planning, judging and the tables
 # take about half a minute per step.
@@ -109,13 +109,24 @@ class _State:
         """Return how many more blocks of a comparison the experiment has."""
         return max(0, self.trials - comparison.blocks_in(self.needs))
 
-    def ahead(self, blocks: Mapping[Comparison, int]) -> tuple[Needs, list[PlannedRun]]:
+    @cached_property
+    def instances(self) -> Mapping[str, Sequence[InstanceSpec]]:
+        """All instances of the experiment by test."""
+        found: dict[str, list[InstanceSpec]] = {}
+        for chunk in expand(self.plan.experiment, self.plan.selection, self.plan.config).chunks:
+            for instance in chunk.instances:
+                found.setdefault(instance.test, []).append(instance)
+        return found
+
+    def ahead(self, further: Mapping[Comparison, int]) -> tuple[Needs, list[PlannedRun]]:
         """Return the needs with further blocks of comparisons, and the runs that they add."""
-        needs, plan = self.needs, self.plan
-        for comparison, number in blocks.items():
+        needs = self.needs
+        for comparison, number in further.items():
             needs = needs.joined(comparison.more(self.needs, number))
-        runs = expand(plan.experiment, plan.selection, plan.config, needs).runs()
-        return needs, [run for run in runs if run.run_id not in self.earlier]
+        tests = {test: None for comparison in further for test, _ in comparison.tests}
+        instances = [each for test in tests for each in self.instances.get(test, ())]
+        plan = replace(self.plan, chunks=tuple(blocks(instances, needs)), needs=needs)
+        return needs, [run for run in plan.runs() if run.run_id not in self.earlier]
 
 
 def options(

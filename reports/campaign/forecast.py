@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -121,7 +122,15 @@ class Times:
         disk = None if self.bytes_per_run is None else count * self.bytes_per_run / 1e6
         return Forecast(count, seconds, unseen, unmeasured, disk)
 
-    def of_cell(self, method: str, test: str, level: float) -> tuple[float, bool]:
+    @cached_property
+    def of_cell(self) -> Callable[[str, str, float], tuple[float, bool]]:
+        """Maps a method, a test and a level to the expected seconds of a run.
+
+        The second value tells whether the cell has been measured.
+        """
+        return cache(self._of_cell)
+
+    def _of_cell(self, method: str, test: str, level: float) -> tuple[float, bool]:
         """Return the expected seconds of a run, and whether its cell has been measured.
 
         Between measured levels of a test, times are interpolated linearly; beyond them, they are those of

@@ -102,7 +102,7 @@ class Plan:
                 yield method, chunk
 
     def is_needed(self, method: MethodSettings, chunk: Chunk) -> bool:
-        return self.needs is None or method.name in self.needs.users(*chunk.block)
+        return self.needs is None or self.needs.uses(method.name, *chunk.block)
 
     def pairs(self) -> Iterator[tuple[MethodSettings, Chunk]]:
         """Yield all planned methods and chunks, including those that are not needed."""
@@ -194,7 +194,7 @@ def expand(
         for method in experiment.methods
         if not selection.methods or method.name in selection.methods
     )
-    split = _chunks(chosen, experiment.chunk_size) if needs is None else _blocks(chosen, needs)
+    split = _chunks(chosen, experiment.chunk_size) if needs is None else blocks(chosen, needs)
     plan = Plan(
         config or experiment.name, experiment, selection, tuple(split), chosen_methods, needs
     )
@@ -282,16 +282,16 @@ def _mixed(instances: Sequence[InstanceSpec], size: int) -> Iterator[tuple[Insta
         yield tuple(instances[index::number])
 
 
-def _blocks(instances: Sequence[InstanceSpec], needs: Needs) -> Iterator[Chunk]:
+def blocks(instances: Sequence[InstanceSpec], needs: Needs) -> Iterator[Chunk]:
     """Yield the chunks of each needed trial: of one model, and run by the same methods.
 
     They are small, so that the runs of one slow method use several cores.
     """
-    blocks: dict[tuple[str, str, int, tuple[str, ...]], list[InstanceSpec]] = {}
+    found: dict[tuple[str, str, int, tuple[str, ...]], list[InstanceSpec]] = {}
     for each in instances:
         if users := needs.users(each.test, each.level, each.trial):
-            blocks.setdefault((each.model, each.test, each.trial, users), []).append(each)
-    for (model, _, trial, _), members in blocks.items():
+            found.setdefault((each.model, each.test, each.trial, users), []).append(each)
+    for (model, _, trial, _), members in found.items():
         for part in _mixed(members, MOST_IN_BLOCK):
             content = digest([member.instance_id for member in part], 6)
             yield Chunk(f"{SHORT[model]}-{trial:02d}-{content}", model, part)
