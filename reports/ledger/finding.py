@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -40,6 +40,7 @@ DAYS = 2.0
 UNEQUAL_DAYS = f"times of the same work differ between days by up to a factor of {DAYS:g}"
 # Quantity -> the one shown in the second column.
 SECOND = {"error": "excess", "time": "n_assignments", "translation_time": "translation_nodes"}
+SELECTING = ("tests", "levels", "where", "by", "statistic")  # parameters that select runs
 WITH_SECOND = ("ratio", "value", "rise", "slope", "scatter", "race")  # kinds with a quantity
 UNITS = {
     "error": "raw RMSE (longest sides)",
@@ -136,6 +137,14 @@ class Finding:
             self.missing.append(what)
 
 
+class Chosen(NamedTuple):
+    """The runs of a role that a check compares, by the names of its methods."""
+
+    runs: list[tuple[str, pd.DataFrame]]
+    tried: list[str]  # all methods of the role
+    missing: list[str]
+
+
 @dataclass(frozen=True)
 class Source:
     """The tables and roles that a check may use."""
@@ -146,15 +155,26 @@ class Source:
     axes: Mapping[str, float] = field(default_factory=dict)  # test -> last level the paper shows
     # Runs, a method, and the parameters of a check -> the runs that it compares; `select` if None
     select: Callable[[pd.DataFrame, str, Parameters], pd.DataFrame] | None = None
+    _chosen: dict[str, Chosen] = field(default_factory=dict, repr=False, compare=False)
 
     def runs(
         self, role: str, p: Parameters, finding: Finding
     ) -> Iterator[tuple[str, pd.DataFrame]]:
         """Yield name and selected runs of every method in a role; note a role without any."""
+        key = f"{role} {[p.get(name) for name in SELECTING]}"
+        if key not in self._chosen:
+            self._chosen[key] = self._choose(role, p)
+        chosen = self._chosen[key]
+        for what in chosen.missing:
+            finding.miss(what)
+        if self.roles[role].choices:
+            finding.choices.append((self.roles[role], chosen.tried))
+        yield from chosen.runs
+
+    def _choose(self, role: str, p: Parameters) -> Chosen:
         assert self.experiment is not None
         labels = self.experiment.methods_in(self.roles[role])
-        for what in _absent(on_axes(self.experiment.cells, p, self.axes), p):
-            finding.miss(what)
+        missing = [*_absent(on_axes(self.experiment.cells, p, self.axes), p)]
         tried = {label: on_axes(self.experiment.of_method(label), p, self.axes) for label in labels}
         choose = self.select or select
         chosen = [(label, choose(runs, label, p)) for label, runs in tried.items()]
@@ -162,16 +182,17 @@ class Source:
         title = self.roles[role].title
         if labels and len(labels) < self.roles[role].n_choices:
             choices = " and ".join(self.roles[role].choices)
-            finding.miss(f"{title} with the other value of the option {choices}")
+            missing.append(f"{title} with the other value of the option {choices}")
         if not filled:
-            finding.miss(f"{title} in these tests and levels" if labels else title)
+            missing.append(f"{title} in these tests and levels" if labels else title)
         names = self.experiment.first["display_name"]
-        if self.roles[role].choices:
-            finding.choices.append((self.roles[role], [names[label] for label in labels]))
-        for label, runs in filled:
-            if self.select is None and self._lacks_cells(runs, p):
-                finding.miss(f"{names[label]} at all of these tests and levels")
-            yield names[label], runs
+        missing += [
+            f"{names[label]} at all of these tests and levels"
+            for label, runs in filled
+            if self.select is None and self._lacks_cells(runs, p)
+        ]
+        tried_names = [names[label] for label in labels]
+        return Chosen([(names[label], runs) for label, runs in filled], tried_names, missing)
 
     def _lacks_cells(self, runs: pd.DataFrame, p: Parameters) -> bool:
         """Tell whether a method was not attempted at some test and level of a check."""
