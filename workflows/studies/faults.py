@@ -130,20 +130,15 @@ class Sweep:
 
 def kill_worker(sweep: Sweep) -> bool:
     """As the kernel does if memory runs out."""
-    return _strike_worker(sweep, lambda worker: worker.send_signal(signal.SIGKILL))
+    return _signal_worker(sweep, signal.SIGKILL)
 
 
 def hang_worker(sweep: Sweep) -> bool:
-    return _strike_worker(sweep, lambda worker: worker.send_signal(signal.SIGSTOP))
+    return _signal_worker(sweep, signal.SIGSTOP)
 
 
 def crash_worker(sweep: Sweep) -> bool:
-    return _strike_worker(sweep, lambda worker: worker.send_signal(signal.SIGSEGV))
-
-
-def exhaust_memory(sweep: Sweep) -> bool:
-    """A worker gets no memory beyond what it has."""
-    return _strike_worker(sweep, lambda worker: worker.rlimit(psutil.RLIMIT_DATA, (0, 0)))
+    return _signal_worker(sweep, signal.SIGSEGV)
 
 
 def kill_snakemake(sweep: Sweep) -> bool:
@@ -245,19 +240,18 @@ def set_clock_back(sweep: Sweep) -> bool:
 FAULTS: dict[str, Callable[[Sweep], bool]] = {
     fault.__name__: fault
     for fault in (
-        kill_worker, hang_worker, crash_worker, exhaust_memory, kill_snakemake, interrupt,
-        restart_machine, start_twice, truncate_files, corrupt_files, corrupt_results, forbid_writing,
-        fill_disk, set_clock_back,
+        kill_worker, hang_worker, crash_worker, kill_snakemake, interrupt, restart_machine, start_twice,
+        truncate_files, corrupt_files, corrupt_results, forbid_writing, fill_disk, set_clock_back,
     )
 }  # fmt: skip
 
 
-def _strike_worker(sweep: Sweep, strike: Callable[[psutil.Process], object]) -> bool:
+def _signal_worker(sweep: Sweep, number: int) -> bool:
     struck = False
     with sweep.start() as process:
         if sweep.wait(process) and (workers := sweep.workers(process)):
             with suppress(psutil.NoSuchProcess):
-                strike(sweep.chance.choice(workers))
+                sweep.chance.choice(workers).send_signal(number)
                 struck = True
         process.communicate()
     return struck
