@@ -10,9 +10,10 @@ from __future__ import annotations
 import multiprocessing
 import threading
 from multiprocessing.connection import wait
+from typing import TYPE_CHECKING
 
-from workflows.stages import commands
-from workflows.stages.plan import Plan
+if TYPE_CHECKING:
+    from workflows.stages.plan import Plan
 
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(["workflows.preload"])
@@ -46,5 +47,8 @@ def run_stage(program: str, *arguments: str, plan: Plan | None = None) -> None:
 def _main(program: str, arguments: tuple[str, ...], plan: Plan | None) -> None:
     from importlib import import_module
 
-    commands.known = plan
+    if plan is not None:
+        from workflows.stages import commands
+
+        commands.known = plan
     import_module(f"{program}.__main__").app(arguments)

@@ -7,7 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from workflows import records
+from workflows.config import load
 from workflows.forking import StageError, run_stage
+from workflows.stages.plan import expand
 
 STAGES = """
 import threading
@@ -43,3 +46,12 @@ def test_no_stage_of_many_threads_is_said_to_fail(tmp_path):
 def test_a_stage_that_fails_is_reported():
     with pytest.raises(StageError, match="nothing"):
         run_stage("nothing")
+
+
+def test_a_stage_does_not_read_the_config_again(tmp_path):
+    plan = expand(load("demo"))
+    run_stage(
+        "workflows", "plan", "no_such_config", "--out", str(tmp_path / "plan.parquet"), plan=plan
+    )
+    table = records.read(tmp_path / "plan.parquet", records.PLAN)
+    assert set(table["run_id"]) == {run.run_id for run in plan.runs()}
