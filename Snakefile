@@ -1,4 +1,5 @@
-# From experiment to report:  snakemake --cores 2 --force-use-threads --config experiment=demo
+# From experiment to report:
+#   snakemake --cores 2 --force-use-threads --scheduler greedy --config experiment=demo
 # `python -m workflows run demo` does the same, with checks before it and a summary after it.
 #
 # results/<experiment>/   plan/ instances/ truth/ runs/ metrics/ tables/ report/

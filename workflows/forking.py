@@ -1,8 +1,8 @@
 """Run the stages of a workflow in processes that share their imports.
 
 The first stage starts a server process that has imported what most stages need; it forks for every
-stage. A stage has its own process, but does not import pandas and SciPy again. It receives the plan,
-and does not read the config again.
+stage. A stage has its own process, but does not import pandas and SciPy again. Stages that need the
+plan receive it, so they do not read the config.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class StageError(RuntimeError):
 def run_stage(program: str, *arguments: str, plan: Plan | None = None) -> None:
     """Run ``python -m PROGRAM ARGUMENTS`` in a forked process and wait for its end.
 
-    `plan` is the one that the arguments describe.
+    `plan` must be the plan of these arguments, or the part of it that the stage needs.
 
     Raises
     ------

@@ -113,7 +113,7 @@ def run_snakemake(
         *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
         *("--keep-going", "--rerun-incomplete", "--quiet", "all"),
         "--force-use-threads",  # otherwise each job is run by another Snakemake
-        *("--scheduler", "greedy"),  # the other one solves an integer programme whenever a job ends
+        *("--scheduler", "greedy"),  # the default solves an integer programme whenever a job ends
         # `the_only_run` has the lock: Snakemake's own lock would remain after a kill.
         *("--nolock", "--directory", str(directory)),
         *(word for profile in profiles for word in ("--profile", str(profile.path))),

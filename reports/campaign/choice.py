@@ -28,7 +28,7 @@ from workflows.blocks import Needs
 from workflows.stages.plan import InstanceSpec, Plan, PlannedRun, blocks, expand
 
 # A step joins blocks as long as their expected time is at most this. Planning, judging and the tables
-# take about half a minute per step.
+# take up to half a minute per step.
 STEP_S = 300.0
 NO_METHODS = "every comparison needs a method that is not installed or not in the experiment"
 
@@ -111,7 +111,7 @@ class _State:
 
     @cached_property
     def instances(self) -> Mapping[str, Sequence[InstanceSpec]]:
-        """All instances of the experiment by test."""
+        """All instances of the selection by test."""
         found: dict[str, list[InstanceSpec]] = {}
         for chunk in expand(self.plan.experiment, self.plan.selection, self.plan.config).chunks:
             for instance in chunk.instances:

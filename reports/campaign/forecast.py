@@ -124,10 +124,7 @@ class Times:
 
     @cached_property
     def of_cell(self) -> Callable[[str, str, float], tuple[float, bool]]:
-        """Maps a method, a test and a level to the expected seconds of a run.
-
-        The second value tells whether the cell has been measured.
-        """
+        """The expected seconds of a run by method, test and level, and whether they were measured."""
         return cache(self._of_cell)
 
     def _of_cell(self, method: str, test: str, level: float) -> tuple[float, bool]:

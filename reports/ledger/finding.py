@@ -155,7 +155,7 @@ class Source:
     axes: Mapping[str, float] = field(default_factory=dict)  # test -> last level the paper shows
     # Runs, a method, and the parameters of a check -> the runs that it compares; `select` if None
     select: Callable[[pd.DataFrame, str, Parameters], pd.DataFrame] | None = None
-    _chosen: dict[str, Chosen] = field(default_factory=dict, repr=False, compare=False)
+    _chosen: dict[str, Chosen] = field(init=False, default_factory=dict, repr=False)
 
     def runs(
         self, role: str, p: Parameters, finding: Finding

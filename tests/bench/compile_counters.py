@@ -29,7 +29,8 @@ MARGIN = 0.1
 def count(*cases: str) -> dict[str, dict[str, int]]:
     """Count what each case compiles in turn, in a new process with an empty cache.
 
-    LLVM does not optimise its input, which is counted, and Numba warns that it stores no such code.
+    The counters describe LLVM's input, so its optimisation is left out. Numba does not cache such code,
+    and its warnings about that are hidden.
     """
     quick = {"NUMBA_OPT": "0", "PYTHONWARNINGS": "ignore"}
     with tempfile.TemporaryDirectory() as cache:

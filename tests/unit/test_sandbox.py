@@ -54,7 +54,7 @@ def faulty(tmp_path_factory):
         pytest.param(21, "time_limit", "s; the limit is 0.3 s", id="is late"),
         pytest.param(22, "failed", "ZeroDivisionError: planted (adapter.py:", id="raises"),
         pytest.param(23, "failed", "the limit is 0.3 s", id="hangs"),
-        pytest.param(24, "failed", "the limit is 600 MB, twice", id="bursts"),
+        pytest.param(24, "failed", "MB, twice", id="bursts"),
         pytest.param(25, "failed", "worker ended with exit code 3, twice", id="exits"),
         pytest.param(26, "failed", "worker died of SIGKILL, twice", id="is killed"),
         pytest.param(27, "failed", "worker died of SIGSEGV, twice", id="crashes"),
@@ -70,6 +70,13 @@ def test_a_fault_becomes_its_status_and_the_rest_completes(faulty, n_points, sta
     assert message in faulty_run["message"]
     assert after["status"] == "converged"
     assert (faulty_run.get("T_target_source") is None) == (status == "failed")
+
+
+def test_a_run_that_ran_out_of_memory_states_what_it_used(faulty):
+    run = faulty.solve(instance(24))
+    assert run["message"].startswith("MemoryError: ")
+    assert run["peak_memory_mb"] > 0.0
+    assert run["time_solve_s"] < 1.0
 
 
 def test_a_search_reports_what_it_has_proven_at_most_once_a_second(faulty, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 from workflows.studies.faults import FAULTS, interrupt, study
 
 pytestmark = [pytest.mark.workflow, pytest.mark.timeout(1800)]
-SHORT = ("restart_machine",)  # `test_dag` damages files
+SHORT = ("restart_machine",)  # damaged files: `test_dag`, and all kinds in `make faults`
 
 
 def forget(sweep):

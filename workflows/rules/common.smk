@@ -5,6 +5,7 @@ import logging
 import os
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, workflow.basedir)
@@ -42,7 +43,7 @@ OUT = f"results/{EXPERIMENT.name}"  # instances and runs
 VIEW = str(Path(OUT) / PLAN.view)  # plan, metrics, tables and report: of the whole, or of a part
 JOBS = [(method.name, chunk.name) for method, chunk in PLAN.jobs()]
 
-# Every stage is `python -m workflows <name> *CHOICE ...` in a separate process.
+# Every stage is `python -m workflows <name> *CHOICE ...` in a separate process, which receives the plan.
 CHOICE = [CONFIG, *(word for part in SELECT for word in ("--select", part))]
 CHOICE += ["--needs", NEEDS] if NEEDS else []
 os.environ["PYTHONPATH"] = os.pathsep.join(
@@ -68,6 +69,11 @@ def measured():
 def solve_needs(method, chunk):
     limits = EXPERIMENT.limits_of(EXPERIMENT.method(method))
     return measured().job(method, limits, PLAN.chunk(chunk))
+
+
+# The part of the plan with these chunks: a job needs one at most, and a plan can have thousands.
+def plan_of(*chunks):
+    return replace(PLAN, chunks=tuple(map(PLAN.chunk, chunks)))
 
 
 def cancel_timers():

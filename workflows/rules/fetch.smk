@@ -18,4 +18,4 @@ rule fetch:
     resources:
         fetching=1,
     run:
-        run_stage("workflows", "fetch", *CHOICE, "--chunk", wildcards.chunk, "--out", output[0], plan=PLAN)
+        run_stage("workflows", "fetch", *CHOICE, "--chunk", wildcards.chunk, "--out", output[0], plan=plan_of(wildcards.chunk))

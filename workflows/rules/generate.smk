@@ -21,4 +21,4 @@ rule generate:
         sources=generate_sources,
     run:
         written = ["--instances", output.instances, "--truth", output.truth]
-        run_stage("workflows", "generate", *CHOICE, "--chunk", wildcards.chunk, *written, plan=PLAN)
+        run_stage("workflows", "generate", *CHOICE, "--chunk", wildcards.chunk, *written, plan=plan_of(wildcards.chunk))

@@ -50,4 +50,4 @@ rule solve:
     run:
         truth = [word for path in oracle_truth(wildcards) for word in ("--truth", path)]
         files = ["--instances", input.instances, *truth, "--out", output.runs]
-        run_stage("workflows", "solve", *CHOICE, "--method", wildcards.method, *files, plan=PLAN)
+        run_stage("workflows", "solve", *CHOICE, "--method", wildcards.method, *files, plan=plan_of())

@@ -2,8 +2,8 @@
 
 The worker solves many instances, so that imports and JIT compilation are needed once. It is killed, with
 all its children, at the hard time limit or the memory limit, and replaced for the next instance; a crash
-shows as the end of the pipe. In each case one run ends as `failed`, after a crash only if a second try
-crashes too. A run in which code was compiled is repeated.
+shows as the end of the pipe. In each case one run ends as `failed`; after a crash, or if memory ran out
+below the limit, only if a second try ends in the same way. A run in which code was compiled is repeated.
 """
 
 from __future__ import annotations
@@ -41,7 +41,17 @@ class WorkerLostError(Exception):
 
 
 class WorkerDiedError(WorkerLostError):
-    """The worker ended by itself or was killed from outside, so that another try may succeed."""
+    """The worker ended by itself, was killed from outside or ran out of memory: another try may succeed.
+
+    Attributes
+    ----------
+    answer : dict
+        Of a worker that ran out of memory; else empty.
+    """
+
+    def __init__(self, message: str, answer: dict[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.answer = answer or {}
 
 
 class Worker:
@@ -259,14 +269,16 @@ class Sandbox:
     def solve(self, instance: Instance) -> dict[str, Any]:
         """Return the worker's answer or, if it was lost, the status of the run; never raises.
 
-        A run whose worker died or got no memory is tried again once.
+        A run whose worker died or ran out of memory is tried again once.
         """
         try:
             return self._try(instance)
         except WorkerDiedError as first:
-            with suppress(WorkerDiedError):
+            self._log(f"{instance.instance_id}: tried again: {first}")
+            try:
                 return self._try(instance)
-            return self._lost(f"{first}, twice")
+            except WorkerDiedError as second:
+                return self._lost(f"{second}, twice") | second.answer
 
     def _try(self, instance: Instance) -> dict[str, Any]:
         """Return the worker's answer or, if it hit a limit, the status of the run.
@@ -283,9 +295,10 @@ class Sandbox:
                 status, message = self._verdict
                 return {"status": status, "message": message}
             answer = self._answer(self._worker, instance)
-            if "exhausted" in answer:
+            if answer.pop("exhausted", False):
                 self._worker.kill()
-                raise WorkerDiedError(answer["exhausted"])
+                message = answer.pop("message")
+                raise WorkerDiedError(message, {**answer, "time_warmup_s": self.time_warmup_s})
             if "error" in answer:
                 answer = {"status": Status.FAILED, "message": answer["error"]}
             return {**answer, "time_warmup_s": self.time_warmup_s}
@@ -318,6 +331,9 @@ class Sandbox:
             lost = time.perf_counter() - self._since
             self.time_warmup_s += lost
             self.time_started_s += lost
-            with self.log.open("a") as stream:
-                print(f"{instance.instance_id}: repeated, as it compiled code", file=stream)
+            self._log(f"{instance.instance_id}: repeated, as it compiled code")
         return answer
+
+    def _log(self, line: str) -> None:
+        with self.log.open("a") as stream:
+            print(line, file=stream)

@@ -67,9 +67,10 @@ class Server:
         return {}
 
     def solve(self, instance: Instance, limits: Limits) -> dict[str, Any]:
-        """Solve one instance; every exception becomes a status, except a lack of memory.
+        """Solve one instance; every exception becomes a status.
 
-        The machine may lack it, not the method, so the parent tries again in a new process.
+        Other processes may have used the memory that a method lacks, so the parent repeats such a run
+        (`exhausted`) in a new process.
         """
         if reason := self.method.supports(instance):
             return {"status": Status.UNSUPPORTED, "message": reason}
@@ -82,7 +83,9 @@ class Server:
             time_solve_s = time.perf_counter() - start
             answer = _in_time(_checked(solution, instance.dim), time_solve_s, limits.time_s)
         except MemoryError as error:
-            return {"exhausted": f"MemoryError: {error}; the limit is {limits.memory_mb} MB"}
+            time_solve_s = time.perf_counter() - start
+            message = f"MemoryError: {error}; the limit is {limits.memory_mb} MB"
+            answer = {"status": Status.FAILED, "message": message, "exhausted": True}
         except Exception as error:
             time_solve_s = time.perf_counter() - start
             traceback.print_exc()

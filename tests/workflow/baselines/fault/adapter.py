@@ -107,9 +107,10 @@ class Adapter(Baseline):
             self._crashes(solution)
 
     def _exhausts_once(self, solution: Solution) -> None:
+        """Also in any later try of the same process."""
         mark = Path(os.environ["DCREG_FAULT_TOKENS"]) / "exhausted"
-        if not mark.exists():
-            mark.touch()
+        if not mark.exists() or mark.read_text() == str(os.getpid()):
+            mark.write_text(str(os.getpid()))
             raise MemoryError
 
     def _stops_once(self, solution: Solution) -> None:
