@@ -23,6 +23,7 @@ from reports.theme import words
 __all__ = ["Judgement", "Ledger", "as_table", "count", "judge", "judge_claim", "ledger"]
 
 NO_VERDICT = "no verdict"
+STAGED = ("dcreg", "dcreg_paper")  # methods with a stage that `Claim.reconstruction` names
 # Columns of the runs behind a verdict, as offered for download.
 DATA = [
     "run_id", "instance_id", "experiment", "method", "display_name", "baseline", "options_effective",
@@ -123,7 +124,7 @@ def judge_claim(book: Ledger, claim: Claim, evidence: Evidence) -> Judgement:
         evidence=_evidence(deciding, verdict),
         reason=reason,
         tested=_tested(book, claim, experiment, findings, every),
-        reconstruction=_reconstructed(claim, findings, experiment),
+        reconstruction=_reconstructed(claim, deciding, experiment),
         runs=len(runs),
         limited=limited,
         command=command,
@@ -340,17 +341,23 @@ def _listed(names: Any) -> str:
     return ", ".join(dict.fromkeys(names))
 
 
-def _reconstructed(claim: Claim, findings: list[Finding], experiment: Experiment | None) -> str:
-    names = [claim.reconstruction] if claim.reconstruction and findings else []
-    if experiment is not None:
-        cards = experiment.tables.cards
-        used = dict.fromkeys(method for finding in findings for method in finding.methods)
-        names += [
-            cards[method].get("display_name", method)
-            for method in used
-            if cards.get(method, {}).get("provenance") == "reconstruction"
-        ]
-    return ", ".join(dict.fromkeys(names))
+def _reconstructed(claim: Claim, deciding: list[Row], experiment: Experiment | None) -> str:
+    """Name the reconstructions behind the deciding rows."""
+    if experiment is None:
+        return claim.reconstruction if deciding else ""
+    names = dict.fromkeys(name for row in deciding for d in row.decided for name in d.part.methods)
+    used = [experiment.tables.cards.get(name, {}) | {"method": name} for name in names]
+    is_staged = any(card.get("baseline") in STAGED for card in used)
+    return ", ".join(
+        dict.fromkeys(
+            [claim.reconstruction] * (bool(claim.reconstruction) and is_staged)
+            + [
+                card.get("display_name", card["method"])
+                for card in used
+                if card.get("provenance") == "reconstruction"
+            ]
+        )
+    )
 
 
 def _data(findings: list[Finding], every: list[Row], experiment: Experiment | None) -> pd.DataFrame:

@@ -32,7 +32,7 @@ METHODS = {
     "pa": ("rpm_pa", "rpm_pa", PA, 1.0),
 }
 CARDS = {
-    "paper": {"limits": {"time_s": 10.0}, "language": "Python"},
+    "paper": {"baseline": "dcreg_paper", "limits": {"time_s": 10.0}, "language": "Python"},
     "rival": {
         "provenance": "reconstruction",
         "display_name": "RPM-HTB",

@@ -377,6 +377,17 @@ def test_a_verdict_names_the_reconstructions_that_it_relies_on():
     both = evidence(runs_of("paper"), runs_of("rival", rmse=0.1))
     assert judged(both, RATIO).reconstruction == "RPM-HTB"
     assert judged(both, VALUE).reconstruction == ""
+    stage = judged(both, VALUE, reconstruction="a stage").reconstruction
+    assert stage == "a stage"
+
+
+def test_a_refutation_by_a_rival_alone_names_no_stage_of_ours():
+    """The other check is reproduced by runs with that stage."""
+    both = evidence(runs_of("paper"), runs_of("pa", rmse=0.1))
+    rival = {**VALUE, "methods": ["rpm_pa"]}
+    found = judged(both, VALUE, rival, reconstruction="a stage")
+    assert found.verdict == NOT
+    assert found.reconstruction == ""
 
 
 def test_the_sentence_of_a_verdict_states_data_and_machine():
