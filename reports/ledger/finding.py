@@ -40,7 +40,6 @@ DAYS = 2.0
 UNEQUAL_DAYS = f"times of the same work differ between days by up to a factor of {DAYS:g}"
 # Quantity -> the one shown in the second column.
 SECOND = {"error": "excess", "time": "n_assignments", "translation_time": "translation_nodes"}
-SELECTING = ("tests", "levels", "where", "by", "statistic")  # parameters that select runs
 WITH_SECOND = ("ratio", "value", "rise", "slope", "scatter", "race")  # kinds with a quantity
 UNITS = {
     "error": "raw RMSE (longest sides)",
@@ -161,7 +160,8 @@ class Source:
         self, role: str, p: Parameters, finding: Finding
     ) -> Iterator[tuple[str, pd.DataFrame]]:
         """Yield name and selected runs of every method in a role; note a role without any."""
-        key = f"{role} {[p.get(name) for name in SELECTING]}"
+        # the second column differs in the quantity, which selects no runs
+        key = f"{role} {sorted((name, repr(p[name])) for name in p if name != 'quantity')}"
         if key not in self._chosen:
             self._chosen[key] = self._choose(role, p)
         chosen = self._chosen[key]

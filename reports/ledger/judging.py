@@ -348,16 +348,13 @@ def _reconstructed(claim: Claim, deciding: list[Row], experiment: Experiment | N
     names = dict.fromkeys(name for row in deciding for d in row.decided for name in d.part.methods)
     used = [experiment.tables.cards.get(name, {}) | {"method": name} for name in names]
     is_staged = any(card.get("baseline") in STAGED for card in used)
-    return ", ".join(
-        dict.fromkeys(
-            [claim.reconstruction] * (bool(claim.reconstruction) and is_staged)
-            + [
-                card.get("display_name", card["method"])
-                for card in used
-                if card.get("provenance") == "reconstruction"
-            ]
-        )
-    )
+    found = [claim.reconstruction] if claim.reconstruction and is_staged else []
+    found += [
+        card.get("display_name", card["method"])
+        for card in used
+        if card.get("provenance") == "reconstruction"
+    ]
+    return ", ".join(dict.fromkeys(found))
 
 
 def _data(findings: list[Finding], every: list[Row], experiment: Experiment | None) -> pd.DataFrame:

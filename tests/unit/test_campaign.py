@@ -238,6 +238,18 @@ def test_finished_blocks_are_not_paid_again(unseen):
         assert again.needs.trials[test] == more
 
 
+@pytest.mark.parametrize("claim", ["robust-extreme", "occl-stable"])
+def test_the_runs_of_further_blocks_are_those_that_a_whole_plan_adds(claim):
+    first = comparisons(ledger(), CLAIMS[claim], expand(EXPERIMENT, None, NAME, NONE))[0]
+    plan = expand(EXPERIMENT, None, NAME, first.more(NONE, 1))
+    state = choice._State(plan, times(), 100, frozenset())
+    needs, runs = state.ahead({first: 2})
+    whole = {run.run_id for run in expand(EXPERIMENT, None, NAME, needs).runs()}
+    before = {run.run_id for run in plan.runs()}
+    assert before < whole
+    assert {run.run_id for run in runs} == whole - before
+
+
 def test_the_runs_of_a_pilot_are_not_forecast_again(unseen):
     first = unseen[0]
     done = {next(expand(EXPERIMENT, None, NAME, first.needs).runs()).run_id}

@@ -71,6 +71,12 @@ def solve_needs(method, chunk):
     return measured().job(method, limits, PLAN.chunk(chunk))
 
 
+# A hash of the datasets of a chunk: there are thousands of chunks, and few sets of datasets.
+@functools.cache
+def of_datasets(hashed, datasets):
+    return hashed(datasets)
+
+
 # The part of the plan with these chunks: a job needs one at most, and a plan can have thousands.
 def plan_of(*chunks):
     return replace(PLAN, chunks=tuple(map(PLAN.chunk, chunks)))

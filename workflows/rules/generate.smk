@@ -1,14 +1,9 @@
 # Instances, and their ground truth in a separate file, which is an input only of solve jobs of methods
 # with the front end `oracle`.
-@functools.cache
-def digest_of_sources(datasets):
+def generate_sources(wildcards):
     from workflows.stages.generate import sources_digest
 
-    return sources_digest(datasets)
-
-
-def generate_sources(wildcards):
-    return digest_of_sources(tuple(PLAN.chunk(wildcards.chunk).datasets))
+    return of_datasets(sources_digest, tuple(PLAN.chunk(wildcards.chunk).datasets))
 
 
 rule generate:
@@ -20,5 +15,6 @@ rule generate:
     params:
         sources=generate_sources,
     run:
+        chunk = wildcards.chunk
         written = ["--instances", output.instances, "--truth", output.truth]
-        run_stage("workflows", "generate", *CHOICE, "--chunk", wildcards.chunk, *written, plan=plan_of(wildcards.chunk))
+        run_stage("workflows", "generate", *CHOICE, "--chunk", chunk, *written, plan=plan_of(chunk))
