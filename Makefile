@@ -306,15 +306,14 @@ dev: setup $(VENV)/.dev
 
 $(VENV)/.dev: requirements-dev.lock requirements-cluster.lock $(VENV)/.installed
 	@echo "Installing the tools for tests, style and manual …"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-compile \
+	@workflows/install.sh $(VENV) \
 	  --require-hashes --requirement requirements-dev.lock --requirement requirements-cluster.lock
 	@touch $@
 
 # `make lock` and `make audit` have an environment of their own.
 $(VENV)-tools/.installed: requirements-tools.lock
 	@$(PYTHON) -m venv $(VENV)-tools
-	@$(VENV)-tools/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-compile \
-	  --require-hashes --requirement requirements-tools.lock \
+	@workflows/install.sh $(VENV)-tools --require-hashes --requirement requirements-tools.lock \
 	  || { echo "These tools could not be installed; they need a network."; exit 1; }
 	@touch $@
 

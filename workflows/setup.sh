@@ -22,22 +22,20 @@ step() {
   printf 'setup     %-44s %4d s\n' "$what" $((SECONDS - since))
 }
 
-# Modules are compiled to bytecode at their first import: most are never imported. What is built from
-# source is built with the setuptools of the lock file: otherwise pip would fetch one without a hash.
 install() {
-  "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-compile --no-deps \
-    --no-build-isolation "$@"
+  workflows/install.sh "$venv" "$@"
 }
 
-# locked NAME… : prints the entries of these packages in the lock file, with their hashes
+# locked FILE NAME… : prints the entries of these packages in a lock file, with their hashes
 locked() {
-  awk -v names=" $* " '/^[^ ]/ { split($1, part, "=="); keep = index(names, " " part[1] " ") } keep' \
-    requirements.lock
+  awk -v names=" ${*:2} " '/^[^ ]/ { split($1, part, "=="); keep = index(names, " " part[1] " ") } keep' "$1"
 }
 
 echo "Setting up $venv (once; takes one to three minutes, mostly downloads and compilation) …"
 [ -x "$venv/bin/python" ] || step "virtual environment" "$python" -m venv "$venv"
-locked setuptools numpy scipy numba llvmlite pykdtree lazy-loader >"$log/library.lock"
+locked requirements-tools.lock uv >"$log/uv.lock"
+step "uv, which installs the packages" install --require-hashes --requirement "$log/uv.lock"
+locked requirements.lock setuptools numpy scipy numba llvmlite pykdtree lazy-loader >"$log/library.lock"
 step "what this library needs" install --require-hashes --requirement "$log/library.lock"
 step "this library" install --editable .
 step "compiled kernels" "$venv/bin/python" -m dcreg.driver.warm_up &
