@@ -294,11 +294,13 @@ class SpaceBound(abc.ABC, Generic[S]):
     round_pairs, max_round : int
         Maximum number of pairs and of boxes divided in one round: enough to keep threads busy, few
         enough for the search to stay interruptible.
+    slice_pairs : int
+        Minimum number of pairs of a slice.
     """
 
     name: ClassVar[str] = ""
     space_type: ClassVar[type[Space]]
-    round_pairs, max_round = 8_000_000, 256
+    round_pairs, max_round, slice_pairs = 8_000_000, 256, 32_768
     stored: Stored | None = None
 
     def __init__(self, space: S, roots: Sequence[Box] | None = None, threads: int = 1) -> None:
@@ -341,13 +343,15 @@ class SpaceBound(abc.ABC, Generic[S]):
         """Apply `work` to slices that cover `count` items, in all threads.
 
         There are several times as many slices as threads, and each thread takes the next one when it is
-        free. The results of `work` are added to `n_assignments`.
+        free; slices that take less time than handing them over are not made. The results of `work` are
+        added to `n_assignments`.
         """
         self.space.check()
-        if self._helpers is None or count < 2:
+        worthwhile = count * self.space.n_pairs // self.slice_pairs
+        parts = min(count, worthwhile, 8 * (self._n_helpers + 1))
+        if self._helpers is None or parts < 2:
             self.n_assignments += work(slice(0, count)) if count else 0
         else:
-            parts = min(count, 8 * (self._n_helpers + 1))
             edges = np.linspace(0, count, parts + 1).astype(int)
             # taking the next slice is one step of the interpreter: no two threads get the same
             slices = iter([slice(a, b) for a, b in itertools.pairwise(edges.tolist())])
