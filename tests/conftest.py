@@ -116,6 +116,12 @@ def set_clock(monkeypatch: pytest.MonkeyPatch) -> clocks.SetClock:
 
 
 @pytest.fixture
+def thin_slices(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads share the work of a bound however little it is, which takes longer than it saves."""
+    monkeypatch.setattr("dcreg.families.protocol.SpaceBound.slice_pairs", 1)
+
+
+@pytest.fixture
 def processor_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     """Budgets count processor time, which other work on the machine does not prolong.
 

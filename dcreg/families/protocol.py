@@ -292,10 +292,9 @@ class SpaceBound(abc.ABC, Generic[S]):
     stored : Stored, optional
         What the bound remembers about boxes.
     round_pairs, max_round : int
-        Maximum number of pairs and of boxes divided in one round: enough to keep threads busy, few
-        enough for the search to stay interruptible.
+        Maximum of pairs and of boxes in one round: threads stay busy, the search stays interruptible.
     slice_pairs : int
-        Minimum number of pairs of a slice.
+        Minimum number of pairs in a thread's share: less is bounded sooner than handed over.
     """
 
     name: ClassVar[str] = ""
@@ -342,19 +341,18 @@ class SpaceBound(abc.ABC, Generic[S]):
     def map_slices(self, count: int, work: Callable[[slice], int]) -> None:
         """Apply `work` to slices that cover `count` items, in all threads.
 
-        There are several times as many slices as threads, and each thread takes the next one when it is
-        free; slices that take less time than handing them over are not made. The results of `work` are
-        added to `n_assignments`.
+        There are several times as many slices as threads, unless they became too small; each thread takes
+        the next one when it is free. The results of `work` are added to `n_assignments`.
         """
         self.space.check()
-        worthwhile = count * self.space.n_pairs // self.slice_pairs
-        parts = min(count, worthwhile, 8 * (self._n_helpers + 1))
+        large_enough = count * self.space.n_pairs // self.slice_pairs
+        parts = min(count, large_enough, 8 * (self._n_helpers + 1))
         if self._helpers is None or parts < 2:
             self.n_assignments += work(slice(0, count)) if count else 0
         else:
-            edges = np.linspace(0, count, parts + 1).astype(int)
+            edges = np.linspace(0, count, parts + 1).astype(int).tolist()
             # taking the next slice is one step of the interpreter: no two threads get the same
-            slices = iter([slice(a, b) for a, b in itertools.pairwise(edges.tolist())])
+            slices = iter([slice(*each) for each in itertools.pairwise(edges)])
 
             def take() -> int:
                 return sum(map(work, slices))

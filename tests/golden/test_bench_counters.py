@@ -31,6 +31,7 @@ def test_work_is_that_stored(name, stored):
         )
 
 
+@pytest.mark.usefixtures("thin_slices")
 @pytest.mark.parametrize("name", [name for name in COUNTED if name.startswith("embedded")])
 def test_work_is_the_same_in_every_run(name):
     """On one machine the counters are exact, whatever the bound, and do not depend on threads."""

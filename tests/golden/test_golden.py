@@ -24,6 +24,7 @@ def test_every_case_is_stored_and_no_other(golden):
     assert list(golden) == list(CASES), REMEDY
 
 
+@pytest.mark.usefixtures("thin_slices")
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("name", CASES)
 def test_results_are_those_stored(name, threads, golden):

@@ -163,6 +163,7 @@ def test_combined_bound_is_the_maximum(model_and_box):
     assert both == max(single)
 
 
+@pytest.mark.usefixtures("thin_slices")
 @pytest.mark.parametrize(
     ("name", "family"), [(name, family) for name in MAKERS for family in FAMILIES.get(name, BOTH)]
 )

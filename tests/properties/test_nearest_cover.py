@@ -140,6 +140,7 @@ def test_boxes_contain_the_optimum_and_confirm_the_search(seed):
     assert below.outside == 0.5 * alone.lower_bound
 
 
+@pytest.mark.usefixtures("thin_slices")
 def test_a_long_search_uses_it_and_threads_do_not_matter(monkeypatch):
     space = make_space(1, n=40, m=40, k=20)
     monkeypatch.setattr("dcreg.search.space_search.SHORT", 512)

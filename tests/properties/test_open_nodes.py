@@ -53,7 +53,9 @@ def test_best_bound_then_larger_then_older(batches, has_warm_starts):
 
 def one_pair_bound(threads):
     space = Similarity2D(np.zeros((1, 2)), np.ones((1, 2)), 1, (0.5, 1.5))
-    return IntervalBound(space, threads=threads)
+    bound = IntervalBound(space, threads=threads)
+    bound.slice_pairs = 1
+    return bound
 
 
 @given(st.integers(1, 4), st.integers(0, 100))

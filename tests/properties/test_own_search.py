@@ -148,6 +148,7 @@ def test_incumbents_are_objectives_at_candidates_of_the_relaxations(fits, monkey
         assert np.abs(np.array(offered) - event.upper_bound).min() < 1e-9
 
 
+@pytest.mark.usefixtures("thin_slices")
 @pytest.mark.parametrize(
     ("name", "options", "dim"),
     [*((*each, 2) for each in METHODS), *((*each, 3) for each in IN_3D)],

@@ -496,6 +496,7 @@ def test_vertices_have_one_order(rng):
         assert turned == pytest.approx(matched[1] + displacements.T, abs=1e-5)
 
 
+@pytest.mark.usefixtures("thin_slices")
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_bound_that_forgets_vertices_finds_the_same(rng, monkeypatch, threads):
     model, _, _ = noisy_copy(rng, 36, 30, 0.1)

@@ -267,6 +267,7 @@ def test_loss_about_an_optimum_is_of_second_order(rng, scale_range):
     assert 0.0 < losses[1] < 0.3 * losses[0]
 
 
+@pytest.mark.usefixtures("thin_slices")
 @pytest.mark.parametrize("k", [10, 12])
 def test_bounds_do_not_depend_on_the_number_of_threads(rng, k):
     model = Similarity3D(

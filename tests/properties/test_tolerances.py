@@ -70,6 +70,7 @@ def test_random_problems(number):
         assert found.bound_ratio == 1.0
 
 
+@pytest.mark.usefixtures("thin_slices")
 @pytest.mark.parametrize("model", ["similarity2d", "rigid3d"])
 def test_thread_counts_do_not_change_the_result(model):
     rng = np.random.default_rng(0)

@@ -248,6 +248,7 @@ def test_listener_stops_the_sweep(clouds):
     assert set(statuses) == {Status.OPTIMAL, Status.STOPPED}
 
 
+@pytest.mark.usefixtures("thin_slices")
 def test_threads_do_not_change_the_result(clouds, found):
     threaded = sweep(*clouds, COUNTS, model="similarity2d", threads=2)
     assert threaded.rows() == [
