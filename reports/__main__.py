@@ -17,7 +17,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Part = Annotated[str, typer.Option(help="Only these, comma-separated.")]
+Part = Annotated[str, typer.Option(help="Names to include, comma-separated; default: all.")]
 
 
 @app.command()

@@ -29,7 +29,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Axis = Annotated[str, typer.Option(help="Only these, comma-separated.", rich_help_panel="Part")]
+Axis = Annotated[
+    str,
+    typer.Option(help="Names to include, comma-separated; default: all.", rich_help_panel="Part"),
+]
 History = Annotated[Path, typer.Option(help="Folder of the recorded versions.")]
 
 
@@ -90,7 +93,9 @@ def run(
     needs: list[str] = []
     if beside:
         if fresh or not methods or len(select) > 1:
-            raise UserError("--beside: give --methods, but neither --fresh nor another selection")
+            raise UserError(
+                "--beside runs only your methods: give --methods, without --fresh or another selection"
+            )
         path, select = _store_needs(experiment, methods.split(","), directory), []
         needs = [f"needs={path.resolve()}"]
         plan = planned(experiment, select, path)
@@ -257,7 +262,8 @@ def versions(
     accept: Annotated[
         bool,
         typer.Option(
-            "--accept", help="Store new versions, and changed code with the same results."
+            "--accept",
+            help="Store methods that are new, or whose changed code gives the stored results.",
         ),
     ] = False,
     reviewed: Annotated[
@@ -265,7 +271,7 @@ def versions(
         typer.Option(help="Methods to accept if they cannot be compared here, comma-separated."),
     ] = "",
 ) -> None:
-    """Check for every method whether its code has the results of its declared version."""
+    """Check that every method gives the results that are stored for its version."""
     from baselines import registry
     from workflows.versions import check
 
@@ -319,7 +325,7 @@ def forget(
     dropped = drop(folder / "runs", statuses)
     if dropped:
         remove_made_from_runs(folder)
-    print(f"forgot {dropped} runs")
+    print(f"deleted {dropped} runs")
 
 
 app.command("merge")(merge.command)

@@ -34,9 +34,9 @@ MEANINGS = {
     "config.yaml": "Config that repeats an experiment",
     "REPEAT.md": "How to repeat and cite the experiments",
     "CITATION.cff": "How to cite the benchmark",
-    "forecast.csv": "Forecast and actual CPU time of each block of evidence",
-    "verdicts.csv": "Verdicts on the claims after 1, 2, 4, ... hours of CPU time, by the present rule",
-    "open.csv": "Verdicts on the claims; expected hours of CPU time and obstacle of the open ones",
+    "forecast.csv": "Forecast and actual run time of each step of evidence",
+    "verdicts.csv": "Verdicts on the claims after 1, 2, 4, ... hours of run time, by the present rule",
+    "open.csv": "Verdicts on the claims; expected hours of run time and obstacle of the open ones",
     "steps.csv": "Step of evidence, a block or a pilot, in which each run ended",
 }
 ENDINGS = {

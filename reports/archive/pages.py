@@ -84,7 +84,7 @@ def _open(out: Path) -> list[dict[str, str]]:
 
 
 def _forecasts(path: Path) -> list[dict[str, Any]]:
-    """Return hours of CPU time per experiment, forecast and actual, of whole blocks of evidence."""
+    """Return hours of run time per experiment, forecast and actual, of whole blocks of evidence."""
     if not path.is_file():
         return []
     blocks = pd.read_csv(path)

@@ -262,7 +262,11 @@ def _is_refuting(decided: Decided) -> bool:
 def _unseen(comparison: Comparison, done: int) -> tuple[int, str]:
     """Return the minimum number of further blocks of a comparison without a value, and its obstacle."""
     enough = min(comparison.least, MIN_SPREAD)
-    why = "the runs so far give no value for this comparison" if done >= enough else ""
+    why = (
+        "the runs so far give no value for this comparison (see their statuses)"
+        if done >= enough
+        else ""
+    )
     return max(1, comparison.least - done), why
 
 

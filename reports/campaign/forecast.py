@@ -21,7 +21,7 @@ TIMED = [*CELL, "time_solve_s", "time_overhead_s"]
 
 @dataclass(frozen=True)
 class Forecast:
-    """Expected CPU time and disk of some runs.
+    """Expected time and disk of some runs.
 
     Attributes
     ----------
@@ -45,8 +45,8 @@ class Forecast:
     def __str__(self) -> str:
         disk = "" if self.megabytes is None else f", {self.megabytes:.1f} MB"
         return (
-            f"{self.runs} runs, about {self.seconds / 60:.0f} min of CPU{disk} "
-            f"({self.unseen} runs without a measured time)"
+            f"{self.runs} runs, about {self.seconds / 60:.0f} min of run time{disk} "
+            f"({self.unseen} runs at levels that were not measured)"
         )
 
 
@@ -153,7 +153,7 @@ class Times:
 
 
 def seconds_of(runs: pd.DataFrame) -> pd.Series:
-    """Return the CPU seconds of runs, those of the harness included; NaN if they have none."""
+    """Return the seconds of runs, those of the harness included; NaN if they have none."""
     return runs["time_solve_s"].astype(float) + runs["time_overhead_s"].fillna(0.0).astype(float)
 
 

@@ -1,4 +1,4 @@
-"""Verdicts as a function of the CPU time spent, from the step in which each run ended.
+"""Verdicts as a function of the run time spent, from the step in which each run ended.
 
 The file `STEPS` has a row per run: its ``run_id`` and the number of the step, a block or a pilot, in
 which it ended. A run taken from an archive may be listed again; its first step counts.
@@ -22,7 +22,7 @@ from reports.tables import Tables
 from workflows.outcomes import NOT_NEEDED
 
 STEPS = "steps.csv"
-# Hours of CPU time at which verdicts are listed, in addition to the final ones.
+# Hours of run time at which verdicts are listed, in addition to the final ones.
 HOURS = 1, 2, 4, 8, 12, 16, 24, 32, 48, 64, 96, 128
 
 
@@ -37,7 +37,7 @@ def record(path: Path, run_ids: Iterable[str]) -> None:
 
 
 def verdicts(tables: Mapping[str, Tables], steps: Path, book: Ledger) -> pd.DataFrame:
-    """Return the verdict on each claim (rows) after some hours of CPU time and after all (columns).
+    """Return the verdict on each claim (rows) after some hours of run time and after all (columns).
 
     The hours are those of all experiments together, at the end of the first step that reaches each of
     `HOURS`. The present rule judges the runs that had ended then. Runs without a
@@ -62,7 +62,9 @@ def changes(table: pd.DataFrame) -> list[str]:
         steps = row[row != row.shift()]
         decided = steps[~steps.isin([NOT_RUN, OPEN])]
         if len(decided) and decided.index[0] != steps.index[-1]:
-            words = ", ".join(f"{verdict} after {hours:g} h" for hours, verdict in steps.items())
+            words = ", ".join(
+                f"{verdict} after {hours:g} h of runs" for hours, verdict in steps.items()
+            )
             found.append(f"{claim}: {words}")
     return found
 
@@ -77,7 +79,7 @@ def _read(path: Path) -> pd.DataFrame:
 def _parts(
     tables: Mapping[str, Tables], steps: pd.DataFrame
 ) -> Iterator[tuple[float, dict[str, Tables]]]:
-    """Yield the hours of CPU time and the tables at each listed step."""
+    """Yield the hours of run time and the tables at each listed step."""
     step_of = steps.drop_duplicates("run_id").set_index("run_id")["step"]
     last = int(step_of.max()) + 1 if len(step_of) else 0
     at = {name: own.runs["run_id"].map(step_of).fillna(last) for name, own in tables.items()}

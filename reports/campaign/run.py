@@ -180,7 +180,7 @@ def _run(
 ) -> bool:
     """Run the needed blocks of an experiment, or a pilot; return whether they ended before `end`."""
     title = f"{claim}, pilot" if part else claim
-    console.print(f"block     {campaign.name}, {title}: {expected}", soft_wrap=True)
+    console.print(f"step      {campaign.name}, {title}: {expected}", soft_wrap=True)
     if time.monotonic() >= end:
         return _stopped(INTERRUPTED, end, console)
     before, began = set(campaign.ended()["run_id"]), time.monotonic()
@@ -207,9 +207,12 @@ def _run(
             "wall_s": round(time.monotonic() - began, 1), "forecast_mb": expected.megabytes,
         },
     )  # fmt: skip
-    console.print(f"          took {actual / 60:.0f} min of CPU")
+    console.print(f"          took {actual / 60:.0f} min of run time")
     if has_ended and not part and campaign.is_behind():
-        console.print("stopped   the tables lack runs of this block, which would be chosen again")
+        console.print(
+            "stopped   the tables lack runs of this step, so it would be chosen again: look for failed "
+            "stages above"
+        )
         return False
     return has_ended or _stopped(code, end, console)
 
@@ -247,7 +250,7 @@ def _append(path: Path, row: dict[str, object]) -> None:
 
 
 def _needs(book: Ledger, campaigns: dict[str, Campaign], left: Sequence[Option]) -> pd.DataFrame:
-    """Return verdicts, and of open claims the expected hours of CPU time and the obstacle."""
+    """Return verdicts, and of open claims the expected hours of run time and the obstacle."""
     by_claim = {option.claim: option for option in left}
     rows: list[tuple[str, str, float | None, str]] = []
     for campaign in campaigns.values():
@@ -260,7 +263,7 @@ def _needs(book: Ledger, campaigns: dict[str, Campaign], left: Sequence[Option])
         if claim.id not in known and not claim.unjudged:
             command = book.commands[claim.experiment]
             rows.append((claim.id, "", None, f"outside these experiments: {command}"))
-    return pd.DataFrame(rows, columns=["claim", "verdict", "hours of CPU", "obstacle"])
+    return pd.DataFrame(rows, columns=["claim", "verdict", "hours of runs", "obstacle"])
 
 
 def _print(console: Console, needs: pd.DataFrame, left: Sequence[Option]) -> None:

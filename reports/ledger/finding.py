@@ -328,7 +328,9 @@ def whole_trials(table: pd.DataFrame, quantity: str) -> pd.DataFrame:
 
 def cells_of(table: pd.DataFrame) -> Cells:
     """Return the tests and levels of a table."""
-    return frozenset(zip(table["test"].tolist(), table["level"].astype(float).tolist(), strict=True))
+    return frozenset(
+        zip(table["test"].tolist(), table["level"].astype(float).tolist(), strict=True)
+    )
 
 
 def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[tuple[str, str], pd.DataFrame]]:

@@ -410,7 +410,7 @@ def test_the_page_states_what_open_claims_need_only(tmp_path):
         tmp_path / "claims" / "claims.csv"
     )
     needs = pd.DataFrame(
-        {"claim": list(judged), "verdict": ["open", None, None], "hours of CPU": [2.5, None, None],
+        {"claim": list(judged), "verdict": ["open", None, None], "hours of runs": [2.5, None, None],
          "obstacle": ["", "make bounds", "make threedmatch"]}
     )  # fmt: skip
     needs.to_csv(tmp_path / "evidence" / "open.csv", index=False)

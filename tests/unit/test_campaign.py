@@ -421,7 +421,9 @@ def test_figures_of_another_comparison_do_not_count():
 def test_runs_without_a_figure_are_an_obstacle():
     needs = Needs({"deformation": {"goicp-all": 10, "dcreg-paper": 10}})
     option = option_of("low-3d", needs)
-    assert option.obstacle == "the runs so far give no value for this comparison"
+    assert (
+        option.obstacle == "the runs so far give no value for this comparison (see their statuses)"
+    )
     assert option.helps
 
 
