@@ -285,7 +285,8 @@ wheel: setup
 	  --disable-pip-version-check --no-build-isolation --wheel-dir results/dist .
 	@sha256sum results/dist/dcreg-*.whl
 
-## lowest, newest: run the library's tests with the oldest or newest packages that pyproject.toml allows (PYTHON=python3.13)
+## lowest: run the library's tests with the oldest packages that pyproject.toml allows (PYTHON=python3.13)
+## newest: run the library's tests with the newest packages that pyproject.toml allows (PYTHON=python3.13)
 .PHONY: lowest newest
 lowest newest:
 	@workflows/library_versions.sh $(PYTHON) $@

@@ -192,7 +192,13 @@ def archive(
 
     name = version or __version__
     place = Path("results", "published") if publish else ARCHIVES
-    folder = write(results or [Path("results")], place / name, name, replace=replace or publish)
+    folder = write(
+        results or [Path("results")],
+        place / name,
+        name,
+        replace=replace or publish,
+        keep=not publish,
+    )
     read.check(folder)
     crate.check(folder)
     size = sum(path.stat().st_size for path in folder.rglob("*"))

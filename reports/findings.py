@@ -19,6 +19,7 @@ from reports.measured import Measured
 from reports.tables import ReportError, Tables
 from workflows import CHECKOUT, archives
 from workflows.metrics.errors import SUCCESS_SHARE
+from workflows.outcomes import main_machine
 
 HERE = Path(__file__).parent
 PAGE = CHECKOUT / "docs" / "findings.md"
@@ -93,6 +94,7 @@ def _origin(tables: Tables) -> dict[str, Any]:
         "created": known.get("created", "")[:10],
         "versions": sorted({each for each in tables.runs["fingerprint"] if each}),
         "machine": {key: machine.get(key, "unknown") for key in ("cpu", "cores", "python")},
+        "runs_there": int((tables.runs["machine_id"] == main_machine(tables.runs)).sum()),
         "limits": {"time_s": None, "assignments": None} | next(iter(limits.values()), {}),
     }
 

@@ -20,6 +20,7 @@ EVIDENCE = "evidence"  # folder of the tables of blocks, in that of their experi
 FORECASTS = "forecast.csv"  # in results/evidence: forecast and actual time of each block
 VERDICTS = "verdicts.csv"  # next to it: the verdicts after some hours
 OPEN_CLAIMS = "open.csv"  # next to it: what the open claims need
+RUN_HOURS = "hours of runs"  # a column of it
 NEEDS = "needs.json"  # file of `Needs` in it
 REST = "*"  # all levels that are not named
 

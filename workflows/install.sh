@@ -8,8 +8,8 @@ shift
 # setuptools of the lock file: otherwise one without a hash would be fetched.
 exactly=(--quiet --no-deps --no-build-isolation)
 
-# uv needs a tenth of the time, but does not read pip's settings: where they name an index, pip installs.
-if [ -x "$venv/bin/uv" ] && ! "$venv/bin/python" -m pip config list | grep -q '[.]index-url='; then
+# uv needs a tenth of the time, but does not read pip's settings: where they replace the index, pip installs.
+if [ -x "$venv/bin/uv" ] && ! "$venv/bin/python" -m pip config list | grep -Eq '[.](index-url|no-index)='; then
   "$venv/bin/uv" pip install --python "$venv/bin/python" "${exactly[@]}" "$@" && exit
   echo "uv cannot install this; pip tries." >&2
 fi

@@ -22,6 +22,7 @@ from workflows import UserError
 from workflows.cli import user_errors
 from workflows.integrity import readable, refuse_damaged, sealed
 from workflows.journal import Key, as_lines, key_of, lines_of
+from workflows.outcomes import STARTED, outcome
 from workflows.stages.worker import COUNTERS
 
 if TYPE_CHECKING:
@@ -312,13 +313,15 @@ def _check_instances(sources: Sequence[dict[Any, dict[str, _Seen]]]) -> None:
 
 
 def _main_machine(sources: Sequence[Source]) -> str:
-    """Return the ``machine_id`` with the most runs."""
-    counts = Counter(
-        found.row["machine_id"]
+    """Return the ``machine_id`` with the most attempted runs, as in reports; copies count once."""
+    machines = {
+        (method, key_of(found.row), found.row["machine_id"])
         for source in sources
         for method in source.methods
         for found in source.runs(method)
-    )
+        if outcome(found.row["status"]) in STARTED
+    }
+    counts = Counter(machine for _, _, machine in sorted(machines))
     return str(counts.most_common(1)[0][0]) if counts else ""
 
 

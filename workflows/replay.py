@@ -12,13 +12,15 @@ from pydantic import ValidationError
 
 from baselines import registry
 from baselines.contract import Baseline, Instance, Solution
+from dcreg.status import Status
 from workflows import CHECKOUT, UserError, archives, provenance, records
 from workflows.config import Experiment, load, origin, search_next_to
 from workflows.instances import content_digest
 from workflows.integrity import readable, refuse_damaged
-from workflows.outcomes import ENDED, STARTED
+from workflows.outcomes import ENDED, STARTED, stated
 from workflows.stages.generate import instance_of
 from workflows.stages.plan import Plan, PlannedRun, expand
+from workflows.stages.solve import bound_ratio, exact_fit
 from workflows.stages.worker import COUNTERS
 from workflows.versions import are_equal, comparable
 
@@ -128,9 +130,10 @@ def _plan(experiment: str, stored: Stored | None) -> Plan:
 
 def _compared(repetition: Repetition, solution: Solution) -> dict[str, Any]:
     run, instance, stored = repetition.run, repetition.instance, repetition.stored
-    pose = solution.T_target_source
+    pose, exact = solution.T_target_source, exact_fit(instance)
+    ratio = bound_ratio(solution.lower_bound, solution.upper_bound, exact)
     answer = {
-        "status": solution.status,
+        "status": stated(Status(solution.status).value, ratio),
         "T_target_source": None if pose is None else np.asarray(pose).tolist(),
         "lower_bound": solution.lower_bound,
         "upper_bound": solution.upper_bound,
@@ -174,17 +177,17 @@ def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: Plann
 
 
 def _stored(run_id: str, results: Path) -> Stored | None:
-    """Return the run of the latest archive that has it, else of `results`, without missing numbers."""
-    for folder in reversed(archives.folders()):
-        archives.check(folder)
-        if row := _row(folder / archives.RUNS, run_id):
-            return Stored(row, _json(folder / "experiments" / row["experiment"]))
+    """Return the run of `results`, else of the latest archive that has it, without missing numbers."""
     for path in sorted(results.glob("**/tables/runs.parquet")):
         refuse_damaged(path.parent)
         with readable(path):
             row = _row(path, run_id)
         if row:
             return Stored(row, _json(path.parent))
+    for folder in reversed(archives.folders()):
+        archives.check(folder)
+        if row := _row(folder / archives.RUNS, run_id):
+            return Stored(row, _json(folder / "experiments" / row["experiment"]))
     return None
 
 

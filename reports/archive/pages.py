@@ -15,7 +15,7 @@ from reports.build import build as build_report
 from reports.history import page as history_page
 from reports.ledger.intervals import NOT_RUN, OPEN
 from workflows.archives import RUNS
-from workflows.blocks import EVIDENCE, FORECASTS, OPEN_CLAIMS, VERDICTS
+from workflows.blocks import EVIDENCE, FORECASTS, OPEN_CLAIMS, RUN_HOURS, VERDICTS
 from workflows.outcomes import OUTCOMES
 
 
@@ -80,6 +80,8 @@ def _open(out: Path) -> list[dict[str, str]]:
     path = out / "claims" / "claims.csv"
     judged = {row["id"]: row["verdict"] for row in _rows(path)}
     rows = [row | {"verdict": judged[row["claim"]]} for row in _rows(out / EVIDENCE / OPEN_CLAIMS)]
+    for row in rows:  # archives of version 0.2.0 have another name of the column
+        row.setdefault(RUN_HOURS, row.get("hours of CPU", ""))
     return [row for row in rows if row["verdict"] in (OPEN, NOT_RUN)]
 
 

@@ -34,11 +34,15 @@ SHARE_BEFORE_CHECKSUMS = 0.9  # of these bytes: clouds fill what the tables leav
 _SHARED = ["method", "instance_id"]
 
 
-def write(results: Sequence[Path], out: Path, version: str, *, replace: bool = False) -> Path:
+def write(
+    results: Sequence[Path],
+    out: Path,
+    version: str,
+    *,
+    replace: bool = False,
+    keep: bool = True,
+) -> Path:
     """Write the archive of all results in `results` to the folder `out`, replacing an earlier one.
-
-    Experiments of the earlier one without complete tables in `results` are kept, as after a stopped
-    ``make evidence``.
 
     Parameters
     ----------
@@ -48,6 +52,9 @@ def write(results: Sequence[Path], out: Path, version: str, *, replace: bool = F
     version : str
     replace : bool
         Whether an experiment may have fewer results than in the earlier archive.
+    keep : bool
+        Whether experiments of the earlier archive without complete tables in `results` are kept, as
+        after a stopped ``make evidence``.
 
     Raises
     ------
@@ -63,7 +70,7 @@ def write(results: Sequence[Path], out: Path, version: str, *, replace: bool = F
             restore(out, Path(earlier))
             if not replace:
                 _refuse_fewer(results, Path(earlier), out)
-        return _write([*results, Path(earlier)], out, version)
+        return _write([*results, Path(earlier)] if keep else results, out, version)
 
 
 def _refuse_fewer(results: Sequence[Path], earlier: Path, out: Path) -> None:
@@ -100,8 +107,8 @@ def _write(roots: Sequence[Path], out: Path, version: str) -> Path:
     for place in folders:
         if place.name == STUDY:
             _write_study(place, part / STUDY)
-    for path in next(filter(None, (sorted(root.glob(f"{EVIDENCE}/*.csv")) for root in roots)), ()):
-        (part / EVIDENCE).mkdir(exist_ok=True)
+    for path in (path for root in reversed(roots) for path in root.glob(f"{EVIDENCE}/*.csv")):
+        (part / EVIDENCE).mkdir(exist_ok=True)  # those of the first root are copied last
         shutil.copyfile(path, part / EVIDENCE / path.name)
     added = {
         each.experiment: write_sources(each, part / "experiments" / each.experiment)

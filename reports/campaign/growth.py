@@ -36,6 +36,13 @@ def record(path: Path, run_ids: Iterable[str]) -> None:
         pd.concat([known, new]).to_csv(part, index=False)
 
 
+def record_rest(path: Path, ended: Iterable[str]) -> None:
+    """Add a step with the runs that have none, such as those of a call that was killed."""
+    known = set(_read(path)["run_id"])
+    if rest := [run_id for run_id in ended if run_id not in known]:
+        record(path, rest)
+
+
 def verdicts(tables: Mapping[str, Tables], steps: Path, book: Ledger) -> pd.DataFrame:
     """Return the verdict on each claim (rows) after some hours of run time and after all (columns).
 

@@ -16,11 +16,11 @@ from dcreg.files import whole_file
 from reports.campaign.campaign import Campaign
 from reports.campaign.choice import Option, options
 from reports.campaign.forecast import Forecast, Pair, seconds_of
-from reports.campaign.growth import STEPS, changes, record, verdicts
+from reports.campaign.growth import STEPS, changes, record, record_rest, verdicts
 from reports.campaign.pilot import begun, pilots, store, unmeasured
 from reports.ledger.book import Ledger, ledger
 from workflows.archives import folders
-from workflows.blocks import EVIDENCE, FORECASTS, OPEN_CLAIMS, VERDICTS
+from workflows.blocks import EVIDENCE, FORECASTS, OPEN_CLAIMS, RUN_HOURS, VERDICTS
 from workflows.compose import ConfigError
 from workflows.config import Experiment, Selection, origin
 from workflows.live import View
@@ -53,6 +53,7 @@ def collect(
         campaign.adopt()
         _note_machine(campaign, console)
     _adopt_logs(out)
+    record_rest(out / STEPS, (run for each in campaigns.values() for run in each.ended()["run_id"]))
     end = time.monotonic() + 3600.0 * hours
     run = functools.partial(_run, end=end, cores=cores, out=out, console=console)
     may_go_on = _finish_blocks(campaigns.values(), run)
@@ -263,7 +264,7 @@ def _needs(book: Ledger, campaigns: dict[str, Campaign], left: Sequence[Option])
         if claim.id not in known and not claim.unjudged:
             command = book.commands[claim.experiment]
             rows.append((claim.id, "", None, f"outside these experiments: {command}"))
-    return pd.DataFrame(rows, columns=["claim", "verdict", "hours of runs", "obstacle"])
+    return pd.DataFrame(rows, columns=["claim", "verdict", RUN_HOURS, "obstacle"])
 
 
 def _print(console: Console, needs: pd.DataFrame, left: Sequence[Option]) -> None:

@@ -402,7 +402,8 @@ def test_no_run_is_taken_from_a_damaged_archive(archive, tmp_path, monkeypatch):
         archived("dcreg")
 
 
-def test_the_page_states_what_open_claims_need_only(tmp_path):
+@pytest.mark.parametrize("hours", ["hours of runs", "hours of CPU"])
+def test_the_page_states_what_open_claims_need_only(hours, tmp_path):
     (tmp_path / "claims").mkdir()
     (tmp_path / "evidence").mkdir()
     judged = {"faster": "open", "tighter-bnb": "reproduced", "low-overlap": "not run"}
@@ -410,12 +411,35 @@ def test_the_page_states_what_open_claims_need_only(tmp_path):
         tmp_path / "claims" / "claims.csv"
     )
     needs = pd.DataFrame(
-        {"claim": list(judged), "verdict": ["open", None, None], "hours of runs": [2.5, None, None],
+        {"claim": list(judged), "verdict": ["open", None, None], hours: [2.5, None, None],
          "obstacle": ["", "make bounds", "make threedmatch"]}
     )  # fmt: skip
     needs.to_csv(tmp_path / "evidence" / "open.csv", index=False)
-    found = [(row["claim"], row["verdict"], row["obstacle"]) for row in pages._open(tmp_path)]
-    assert found == [("faster", "open", ""), ("low-overlap", "not run", "make threedmatch")]
+    columns = ("claim", "verdict", "hours of runs", "obstacle")  # those that the template reads
+    found = [tuple(row[name] for name in columns) for row in pages._open(tmp_path)]
+    assert found == [
+        ("faster", "open", "2.5", ""),
+        ("low-overlap", "not run", "", "make threedmatch"),
+    ]
+
+
+def test_a_published_archive_has_no_experiment_that_was_deleted(results, tmp_path):
+    out, rest = tmp_path / "1", _copy(results / "one", tmp_path / "rest" / "one").parent
+    for keep, names in ((True, ["one", "two"]), (False, ["one"])):
+        writing.write([results], out, "1", replace=True)
+        writing.write([rest], out, "1", replace=True, keep=keep)
+        assert sorted(path.name for path in (out / "experiments").iterdir()) == names
+
+
+def test_evidence_of_one_experiment_keeps_the_times_of_others(results, tmp_path):
+    own, out = _copy(results, tmp_path / "results"), tmp_path / "archive"
+    (own / "evidence").mkdir()
+    for name, text in (("two.times", "earlier"), ("one.times", "a"), ("one.times", "b")):
+        (own / "evidence" / f"{name}.csv").write_text(text)
+        writing.write([own], out, "1")
+        (own / "evidence" / f"{name}.csv").unlink()
+    stored = {path.name: path.read_text() for path in (out / "evidence").iterdir()}
+    assert stored == {"two.times.csv": "earlier", "one.times.csv": "b"}
 
 
 def test_forecast_and_actual_time_of_evidence_are_archived_and_shown(results, tmp_path):

@@ -591,9 +591,17 @@ def test_a_verdict_that_was_taken_back_is_named():
         index=["kept", "taken back", "late", "turned"],
     )
     assert changes(table) == [
-        "taken back: reproduced after 1 h, open after 2 h",
-        "turned: refuted after 1 h, reproduced after 2.5 h",
+        "taken back: reproduced after 1 h of runs, open after 2 h of runs",
+        "turned: refuted after 1 h of runs, reproduced after 2.5 h of runs",
     ]
+
+
+def test_runs_of_a_call_that_was_killed_get_a_step_in_the_next_call(tmp_path):
+    steps = tmp_path / growth.STEPS
+    growth.record(steps, ["a"])
+    for _ in range(2):
+        growth.record_rest(steps, ["b", "a", "c"])
+    assert pd.read_csv(steps).to_numpy().tolist() == [["a", 0], ["b", 1], ["c", 1]]
 
 
 def test_verdicts_are_those_of_the_runs_that_had_ended(monkeypatch, tmp_path):

@@ -2,11 +2,14 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 from baselines import registry
+from baselines.contract import Solution
+from dcreg.status import Status
 from workflows import UserError, archives, config, records
 from workflows.__main__ import app
 from workflows.instances import content_digest
@@ -77,6 +80,23 @@ def stored(folder, row) -> str:
 def test_the_stored_run_decides(run, change, said):
     folder, _, row = run
     assert stored(folder, {**row, **change}).startswith(said)
+
+
+def test_an_optimum_without_a_bound_is_compared_as_it_is_stated(run, monkeypatch):
+    folder, run_id, row = run
+    answer = Solution(Status.OPTIMAL, np.eye(3), lower_bound=-1.0, upper_bound=1.0)
+    monkeypatch.setattr(type(registry.load("icp")), "solve", lambda *_: answer)
+    row |= {
+        "status": "converged", "T_target_source": json.dumps(np.eye(3).tolist()),
+        "lower_bound": -1.0, "upper_bound": 1.0, "n_nodes": None, "n_assignments": None,
+    }  # fmt: skip
+    assert stored(folder, row) == SAME
+
+
+def test_results_come_before_archives(run, tmp_path, monkeypatch):
+    folder, run_id, row = run
+    monkeypatch.setattr(archives, "folders", lambda: [tmp_path / "damaged"])
+    assert stored(folder, row) == SAME
 
 
 def test_the_config_recorded_with_the_run_is_used(run):

@@ -36,11 +36,10 @@ THREAD_VARIABLES = (
     "NUMEXPR_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
 )
+# In the checkout and in the working folder; the problem library states best poses and true pairs.
 RESULTS = (
-    "results",
-    "reports/history",
-    "reports/archive",
-)  # in the checkout and in the working folder
+    "results", "reports/history", "reports/archive", "data/library/problems", "data/library/records",
+)  # fmt: skip
 
 # Numbers of the system calls, the same on all architectures that Numba supports.
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
@@ -79,7 +78,7 @@ def environment(given: Mapping[str, str], threads: int, folder: Path) -> dict[st
 
 
 def hidden_folders() -> list[Path]:
-    """Return the folders of results, which hold ground truth and poses of other methods."""
+    """Return the folders that hold ground truth and poses of other methods."""
     archives = filter(None, os.environ.get("DCREG_ARCHIVES", "").split(os.pathsep))
     places = [place / name for place in (CHECKOUT, Path.cwd()) for name in RESULTS]
     return list(dict.fromkeys(path.resolve() for path in (*places, *map(Path, archives))))

@@ -142,7 +142,7 @@ def _rows(
                 answer = {"status": Status.FAILED, "message": reason}
             else:
                 answer = sandbox.solve(instance)
-            row = {**identity, **_plain(answer, _exact_fit(instance))}
+            row = {**identity, **_plain(answer, exact_fit(instance))}
             waited = time.perf_counter() - since - (sandbox.time_started_s - started)
             if "peak_memory_mb" in row:  # the worker answered; it was not lost
                 row["time_overhead_s"] = waited - row["time_solve_s"]
@@ -170,7 +170,7 @@ def _plain(answer: dict[str, Any], exact: float) -> dict[str, Any]:
     }
 
 
-def _exact_fit(instance: Instance) -> float:
+def exact_fit(instance: Instance) -> float:
     """Return the objective up to which a fit counts as exact."""
     return exact_objective(instance.source, instance.target, instance.n_inliers)
 
