@@ -28,8 +28,8 @@ from workflows.blocks import Needs
 from workflows.stages.plan import InstanceSpec, Plan, PlannedRun, blocks, expand
 
 # A step joins blocks as long as their expected time is at most this. Planning, judging and the tables
-# take up to half a minute per step.
-STEP_S = 300.0
+# take up to half a minute per step, and while its last job runs, other cores are idle.
+STEP_S = 1200.0
 NO_METHODS = "every comparison needs a method that is not installed or not in the experiment"
 
 

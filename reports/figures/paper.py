@@ -26,7 +26,7 @@ LINES: dict[str, tuple[str, ...]] = {
     "RPM-HTB": ("rpm_htb",),
     "RPM-PA": ("rpm_pa",),
     "RPM-CAV": ("rpm_cav",),
-    "Go-ICP": ("goicp", "goicp_cube"),
+    "Go-ICP": ("goicp", "goicps"),
     "FRS": ("frs", "frs_scan"),
     "GORE": ("gore", "gore_scan"),
     "TEASER++": ("teaser", "teaser_scan"),

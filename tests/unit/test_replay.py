@@ -83,7 +83,7 @@ def test_the_stored_run_decides(run, change, said):
 
 
 def test_an_optimum_without_a_bound_is_compared_as_it_is_stated(run, monkeypatch):
-    folder, run_id, row = run
+    folder, _, row = run
     answer = Solution(Status.OPTIMAL, np.eye(3), lower_bound=-1.0, upper_bound=1.0)
     monkeypatch.setattr(type(registry.load("icp")), "solve", lambda *_: answer)
     row |= {
@@ -94,7 +94,7 @@ def test_an_optimum_without_a_bound_is_compared_as_it_is_stated(run, monkeypatch
 
 
 def test_results_come_before_archives(run, tmp_path, monkeypatch):
-    folder, run_id, row = run
+    folder, _, row = run
     monkeypatch.setattr(archives, "folders", lambda: [tmp_path / "damaged"])
     assert stored(folder, row) == SAME
 
