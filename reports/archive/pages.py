@@ -86,11 +86,11 @@ def _open(out: Path) -> list[dict[str, str]]:
 
 
 def _forecasts(path: Path) -> list[dict[str, Any]]:
-    """Return hours of run time per experiment, forecast and actual, of whole blocks of evidence."""
+    """Return hours of run time per experiment, forecast and actual, of whole steps of evidence."""
     if not path.is_file():
         return []
-    blocks = pd.read_csv(path)
-    blocks = blocks[~(blocks["runs"] < blocks["planned"])] if "planned" in blocks else blocks
-    hours = blocks.groupby("experiment")[["forecast_s", "actual_s"]].sum() / 3600
-    sums = hours.assign(blocks=blocks.groupby("experiment").size()).reset_index()
+    steps = pd.read_csv(path)
+    steps = steps[~(steps["runs"] < steps["planned"])] if "planned" in steps else steps
+    hours = steps.groupby("experiment")[["forecast_s", "actual_s"]].sum() / 3600
+    sums = hours.assign(steps=steps.groupby("experiment").size()).reset_index()
     return [{str(name): value for name, value in row.items()} for row in sums.to_dict("records")]

@@ -454,5 +454,5 @@ def test_forecast_and_actual_time_of_evidence_are_archived_and_shown(results, tm
     crate.check(archive)
     read.restore(archive, tmp_path / "out")
     assert pages._forecasts(tmp_path / "out" / "evidence" / FORECASTS) == [
-        {"experiment": "one", "forecast_s": 1.5, "actual_s": 0.75, "blocks": 2}
+        {"experiment": "one", "forecast_s": 1.5, "actual_s": 0.75, "steps": 2}
     ]
