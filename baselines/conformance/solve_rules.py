@@ -129,8 +129,8 @@ def results_repeat(method: Candidate, model: str) -> None:
         same = same and np.array_equal(first.T_target_source, second.T_target_source)
     require(
         same,
-        "a second run, with two threads, differs; draw random numbers from instance.seed only, add numbers "
-        "in an order that threads do not change, or state deterministic: false in card.yaml",
+        "a second run, with two threads, differs; draw random numbers from instance.seed only, let the "
+        "order of sums not depend on threads, or state deterministic: false in card.yaml",
     )
 
 

@@ -13,12 +13,13 @@ import pytest
 from reports.archive import read
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence
-from reports.ledger.judging import judge
+from reports.ledger.judging import count, judge
 from workflows import archives
 from workflows.archives import RUNS
 from workflows.blocks import EVIDENCE, FORECASTS, OPEN_CLAIMS, VERDICTS
 from workflows.outcomes import ENDED
 from workflows.replay import ROUNDING, SAME, replay
+from workflows.studies import million
 
 DOCS = Path(__file__).parents[2] / "docs"
 FACTOR = 1.5  # by which a forecast of a part above `LONG_S` may be wrong
@@ -66,12 +67,25 @@ def test_the_runs_of_frs_that_match_all_points(runs):
     assert f"in {(matched == own['n_source']).sum()} of {len(own)} runs" in text_of("limits.md")
 
 
+def test_the_hours_of_a_million_runs():
+    costs = million.costs()
+    own = costs[(costs["experiment"] == "findings") & (costs["model"] == "similarity2d")]
+    hours = own.set_index("method")["hours"]
+    text = text_of("clusters.md")
+    assert f"these are {hours['dcreg']:.0f} hours for `dcreg`" in text
+    assert f"at least {hours['dcreg-paper']:,.0f} for Algorithm 1" in text
+    assert f"at least {hours['rpm_htb']:,.0f} for RPM-HTB" in text
+
+
 def test_archived_verdicts_are_those_of_the_archived_runs(archive, tmp_path):
     places = read.restore(archive, tmp_path)
     names = {place.parent.name for place in places}
     stated = pd.read_csv(archive / EVIDENCE / OPEN_CLAIMS).set_index("claim")["verdict"].dropna()
     over_time = pd.read_csv(archive / EVIDENCE / VERDICTS).set_index("claim").iloc[:, -1]
-    found = {each.id: each.verdict for each in judge(ledger(), Evidence.of_folders([tmp_path]))}
+    judgements = judge(ledger(), Evidence.of_folders([tmp_path]))
+    found = {each.id: each.verdict for each in judgements}
+    counts = ", ".join(f"{number} {verdict}" for verdict, number in count(judgements))
+    assert f"Verdicts in archive {archive.name}: {counts}." in text_of("claims.md")
     assert {"paper2d-40", "paper3d-40"} <= names
     assert len(stated) > 20
     assert {claim: found[claim] for claim in stated.index} == stated.to_dict()

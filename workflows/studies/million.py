@@ -74,7 +74,7 @@ def study(out: Path, rows: int, *, report: bool = False) -> pd.DataFrame:
 def costs(runs_each: int = 1_000_000) -> pd.DataFrame:
     """Return what so many runs take, by those of the latest archive.
 
-    A row per experiment, model and method. Methods are comparable within an experiment. Hours are those
+    A row per experiment, model and method. Methods may have run on different machines. Hours are those
     of one core, by the mean; ``at_a_limit`` is the share of runs that would take longer without their
     limit.
 
