@@ -220,7 +220,11 @@ def test_a_block_has_the_methods_of_one_comparison_and_no_others(unseen):
     assert (test, levels) in {("mixed_outliers", (1.0, 2.0)), ("separate_outliers", (1.0,))}
     (method,) = low.comparison.methods
     assert EXPERIMENT.method(method).baseline == "dcreg_paper"
-    assert low.needs.trials == {test: {method: {f"{level:g}": 1 for level in levels}}}
+    needed = low.needs.trials[test]
+    assert list(low.needs.trials) == [test]
+    assert list(needed) == [method]
+    assert needed[method].keys() == {f"{level:g}" for level in levels}
+    assert len(set(needed[method].values())) == 1  # trials
     assert low.block.runs == 2 * len(levels)
 
 

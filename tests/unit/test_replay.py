@@ -39,7 +39,7 @@ def run(tmp_path, monkeypatch):
         "schema_version": records.SCHEMA_VERSION,
         "run_id": planned.run_id,
         "experiment": str(path),
-        "status": found["status"].value,
+        "status": found["status"],
         "outcome": "finished",
         "T_target_source": json.dumps(found["T_target_source"]),
         "instance_digest": content_digest(instance),
