@@ -25,7 +25,7 @@ RunId = Annotated[str, typer.Argument(help="From column run_id of tables/runs.cs
 ConfigOfRun = Annotated[
     str, typer.Option(help="Config of the run; default: the one recorded with the run.")
 ]
-Stored = Annotated[Path, typer.Option(help="Folder of results to search after the archives.")]
+Stored = Annotated[Path, typer.Option(help="Folder of results to search before the archives.")]
 
 
 def user_errors(command: Callable[..., Any]) -> Callable[..., Any]:

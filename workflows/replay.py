@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -47,7 +49,7 @@ def replay(run_id: str, experiment: str = "", results: Path = Path("results")) -
     experiment : str
         Config of the run; if empty, that of the stored run.
     results : Path
-        Folder of results that is searched for the stored run after the archives.
+        Folder of results that is searched for the stored run before the archives.
 
     Returns
     -------
@@ -177,18 +179,32 @@ def _comparison(found: dict[str, Any], stored: dict[str, Any] | None, run: Plann
 
 
 def _stored(run_id: str, results: Path) -> Stored | None:
-    """Return the run of `results`, else of the latest archive that has it, without missing numbers."""
+    """Return the run of `results`, else of the latest archive that has it, without missing numbers.
+
+    A run that was only planned is returned if none was started.
+    """
+    planned = None
+    for found in chain(_in_results(run_id, results), _in_archives(run_id)):
+        if found.row["outcome"] in STARTED:
+            return found
+        planned = planned or found
+    return planned
+
+
+def _in_results(run_id: str, results: Path) -> Iterator[Stored]:
     for path in sorted(results.glob("**/tables/runs.parquet")):
-        refuse_damaged(path.parent)
         with readable(path):
             row = _row(path, run_id)
         if row:
-            return Stored(row, _json(path.parent))
+            refuse_damaged(path.parent)
+            yield Stored(row, _json(path.parent))
+
+
+def _in_archives(run_id: str) -> Iterator[Stored]:
     for folder in reversed(archives.folders()):
         archives.check(folder)
         if row := _row(folder / archives.RUNS, run_id):
-            return Stored(row, _json(folder / "experiments" / row["experiment"]))
-    return None
+            yield Stored(row, _json(folder / "experiments" / row["experiment"]))
 
 
 def _json(folder: Path) -> dict[str, Any]:

@@ -34,7 +34,8 @@ locked() {
 echo "Setting up $venv (once; takes one to three minutes, mostly downloads and compilation) …"
 [ -x "$venv/bin/python" ] || step "virtual environment" "$python" -m venv "$venv"
 locked requirements-tools.lock uv >"$log/uv.lock"
-step "uv, which installs the packages" install --require-hashes --requirement "$log/uv.lock"
+step "uv, a faster installer" install --require-hashes --requirement "$log/uv.lock" ||
+  echo "setup     without uv: pip installs"
 locked requirements.lock setuptools numpy scipy numba llvmlite pykdtree lazy-loader >"$log/library.lock"
 step "what this library needs" install --require-hashes --requirement "$log/library.lock"
 step "this library" install --editable .

@@ -50,11 +50,15 @@ S = TypeVar("S", bound=Space)
 class Relaxation(SpaceBound[S]):
     """A bound that replaces the objective of a box by one in which matching and pose separate.
 
+    A box takes long, whatever its number of pairs, so threads share few boxes as well.
+
     Attributes
     ----------
     matchings : (B, n) int array
         The relaxed matching of each box of the last evaluation: a column per source row, -1 for none.
     """
+
+    slice_pairs = 1
 
     matchings: np.ndarray
 

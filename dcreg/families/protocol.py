@@ -292,7 +292,7 @@ class SpaceBound(abc.ABC, Generic[S]):
     stored : Stored, optional
         What the bound remembers about boxes.
     round_pairs, max_round : int
-        Maximum of pairs and of boxes in one round: threads stay busy, the search stays interruptible.
+        Maximum in one round: enough to keep threads busy, few enough to stay interruptible.
     slice_pairs : int
         Minimum number of pairs in a thread's share: less is bounded sooner than handed over.
     """

@@ -37,7 +37,7 @@ MEANINGS = {
     "forecast.csv": "Forecast and actual run time of each step of evidence",
     "verdicts.csv": "Verdicts on the claims after 1, 2, 4, ... hours of run time, by the present rule",
     "open.csv": "Verdicts on the claims; expected hours of run time and obstacle of the open ones",
-    "steps.csv": "Step of evidence, a block or a pilot, in which each run ended",
+    "steps.csv": "Step of evidence, a pilot or one or more blocks, in which each run ended",
 }
 ENDINGS = {
     ".times.csv": "Measured times of a method per test and level",

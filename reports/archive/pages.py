@@ -80,7 +80,7 @@ def _open(out: Path) -> list[dict[str, str]]:
     path = out / "claims" / "claims.csv"
     judged = {row["id"]: row["verdict"] for row in _rows(path)}
     rows = [row | {"verdict": judged[row["claim"]]} for row in _rows(out / EVIDENCE / OPEN_CLAIMS)]
-    for row in rows:  # archives of version 0.2.0 have another name of the column
+    for row in rows:  # earlier archives have another name of the column
         row.setdefault(RUN_HOURS, row.get("hours of CPU", ""))
     return [row for row in rows if row["verdict"] in (OPEN, NOT_RUN)]
 

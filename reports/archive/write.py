@@ -65,12 +65,12 @@ def write(
     if not re.fullmatch(r"\w[\w.+-]*", version):  # it names a folder, which is replaced
         raise ReportError(f"version: {version!r}; use letters, digits, and . + - _ after the first")
     with tempfile.TemporaryDirectory() as earlier:
-        if (out / FACTS).is_file():
+        if keep and (out / FACTS).is_file():
             check(out)
             restore(out, Path(earlier))
             if not replace:
                 _refuse_fewer(results, Path(earlier), out)
-        return _write([*results, Path(earlier)] if keep else results, out, version)
+        return _write(results, Path(earlier), out, version)
 
 
 def _refuse_fewer(results: Sequence[Path], earlier: Path, out: Path) -> None:
@@ -88,14 +88,13 @@ def _refuse_fewer(results: Sequence[Path], earlier: Path, out: Path) -> None:
             )
 
 
-def _write(roots: Sequence[Path], out: Path, version: str) -> Path:
+def _write(results: Sequence[Path], earlier: Path, out: Path, version: str) -> Path:
     """Write the archive of the first results of each experiment in these folders."""
-    folders = list(_first_results(roots).values())
+    folders = list(_first_results([*results, earlier]).values())
     places = [found for place in folders if (found := _with_tables(place)) is not None]
     tables = [Tables.load(place / "tables") for place in places]
     if not tables:
-        given = ", ".join(map(str, roots[:-1]))
-        raise ReportError(f"{given}: no results; run an experiment first")
+        raise ReportError(f"{', '.join(map(str, results))}: no results; run an experiment first")
     shown = [dataclasses.replace(each, provenance=public(each.provenance)) for each in tables]
     part = out.with_name(f".{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
@@ -107,8 +106,8 @@ def _write(roots: Sequence[Path], out: Path, version: str) -> Path:
     for place in folders:
         if place.name == STUDY:
             _write_study(place, part / STUDY)
-    for path in (path for root in reversed(roots) for path in root.glob(f"{EVIDENCE}/*.csv")):
-        (part / EVIDENCE).mkdir(exist_ok=True)  # those of the first root are copied last
+    for path in _evidence(results, earlier):
+        (part / EVIDENCE).mkdir(exist_ok=True)
         shutil.copyfile(path, part / EVIDENCE / path.name)
     added = {
         each.experiment: write_sources(each, part / "experiments" / each.experiment)
@@ -130,6 +129,14 @@ def _write(roots: Sequence[Path], out: Path, version: str) -> Path:
     shutil.rmtree(out, ignore_errors=True)
     part.rename(out)
     return out
+
+
+def _evidence(results: Sequence[Path], earlier: Path) -> list[Path]:
+    """Return the logs of evidence in `results`, and the times of other experiments; else earlier logs."""
+    logs = next(filter(None, (sorted(root.glob(f"{EVIDENCE}/*.csv")) for root in results)), [])
+    names = {path.name for path in logs}
+    kept = sorted(earlier.glob(f"{EVIDENCE}/{'*.times' if logs else '*'}.csv"))
+    return [*logs, *(path for path in kept if path.name not in names)]
 
 
 def _first_results(roots: Sequence[Path]) -> dict[str, Path]:

@@ -53,7 +53,9 @@ def collect(
         campaign.adopt()
         _note_machine(campaign, console)
     _adopt_logs(out)
-    record_rest(out / STEPS, (run for each in campaigns.values() for run in each.ended()["run_id"]))
+    if hours > 0.0:
+        ended = (run for each in campaigns.values() for run in each.ended()["run_id"])
+        record_rest(out / STEPS, ended)
     end = time.monotonic() + 3600.0 * hours
     run = functools.partial(_run, end=end, cores=cores, out=out, console=console)
     may_go_on = _finish_blocks(campaigns.values(), run)

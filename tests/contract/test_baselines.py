@@ -39,6 +39,7 @@ def test_folder(candidates: dict[str, Candidate], name: str, rule: Callable) -> 
     obey(rule, candidates[name])
 
 
+@pytest.mark.usefixtures("thin_slices")
 @pytest.mark.parametrize("rule", solve_rules.RULES, ids=lambda rule: rule.__name__)
 @pytest.mark.parametrize(("name", "model"), PAIRS)
 def test_solve(

@@ -1,6 +1,7 @@
 """Open boxes leave in the order of the heap that Python ships."""
 
 import heapq
+import threading
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dcreg.families.dc.bounds import IntervalBound
+from dcreg.families.protocol import SpaceBound
 from dcreg.families.similarity2d.space import Similarity2D
 from dcreg.search.boxes import Boxes, OpenNodes
 
@@ -71,6 +73,22 @@ def test_every_slice_is_mapped_once(threads, count):
     bound.map_slices(count, work)
     assert bound.n_assignments == count
     assert (done == 1).all()
+
+
+@pytest.mark.parametrize(("per_slice", "n_threads"), [(0.9, 1), (1.0, 2)])
+def test_work_is_shared_from_two_slices_on(per_slice, n_threads):
+    bound = one_pair_bound(2)
+    bound.slice_pairs = SpaceBound.slice_pairs
+    both, seen = threading.Barrier(n_threads, timeout=10.0), set()
+
+    def work(part):
+        if threading.get_ident() not in seen:
+            seen.add(threading.get_ident())
+            both.wait()
+        return 0
+
+    bound.map_slices(int(2 * per_slice * bound.slice_pairs), work)
+    assert len(seen) == n_threads
 
 
 @pytest.mark.parametrize("threads", [1, 3])

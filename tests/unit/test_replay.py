@@ -93,6 +93,15 @@ def test_an_optimum_without_a_bound_is_compared_as_it_is_stated(run, monkeypatch
     assert stored(folder, row) == SAME
 
 
+def test_a_run_that_was_started_comes_before_a_planned_one(run):
+    folder, run_id, row = run
+    earlier = folder / "mine" / "evidence" / "tables"
+    earlier.mkdir(parents=True)
+    planned = {**row, "outcome": "not_needed", "status": "not_run", "fingerprint": ""}
+    pd.DataFrame([planned]).to_parquet(earlier / "runs.parquet")
+    assert stored(folder, row) == SAME
+
+
 def test_results_come_before_archives(run, tmp_path, monkeypatch):
     folder, _, row = run
     monkeypatch.setattr(archives, "folders", lambda: [tmp_path / "damaged"])

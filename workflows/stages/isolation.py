@@ -36,10 +36,13 @@ THREAD_VARIABLES = (
     "NUMEXPR_NUM_THREADS",
     "VECLIB_MAXIMUM_THREADS",
 )
-# In the checkout and in the working folder; the problem library states best poses and true pairs.
 RESULTS = (
-    "results", "reports/history", "reports/archive", "data/library/problems", "data/library/records",
-)  # fmt: skip
+    "results",
+    "reports/history",
+    "reports/archive",
+)  # in the checkout and the working folder
+# The best poses, true pairs and proofs of the problem library, in the checkout.
+ANSWERS = ("data/library/problems", "data/library/records", "data/library/proofs")
 
 # Numbers of the system calls, the same on all architectures that Numba supports.
 _CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
@@ -81,6 +84,7 @@ def hidden_folders() -> list[Path]:
     """Return the folders that hold ground truth and poses of other methods."""
     archives = filter(None, os.environ.get("DCREG_ARCHIVES", "").split(os.pathsep))
     places = [place / name for place in (CHECKOUT, Path.cwd()) for name in RESULTS]
+    places += [CHECKOUT / name for name in ANSWERS]
     return list(dict.fromkeys(path.resolve() for path in (*places, *map(Path, archives))))
 
 

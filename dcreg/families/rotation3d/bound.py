@@ -53,7 +53,8 @@ class RotationBound(SpaceBound[Rotation3D]):
 
     name = "rotation"
     space_type = Rotation3D
-    round_pairs, max_round = 4_000_000, 32
+    # a box has up to 36 points with assignments, so threads share few boxes as well
+    round_pairs, max_round, slice_pairs = 4_000_000, 32, 1
 
     def _evaluate(self, boxes: Boxes, cutoff: float | None) -> Evaluation:
         found, clouds = Evaluation.empty(boxes), self.space.clouds
