@@ -1,6 +1,7 @@
 """Verdicts as a function of the run time spent, from the step in which each run ended.
 
-The file `STEPS` has a row per run: its ``run_id`` and the number of the step in which it ended. A run taken from an archive may be listed again; its first step counts.
+The file `STEPS` has a row per run: its ``run_id`` and the number of the step in which it ended. A run
+taken from an archive may be listed again; its first step counts.
 """
 
 from __future__ import annotations

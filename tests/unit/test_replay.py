@@ -94,7 +94,7 @@ def test_an_optimum_without_a_bound_is_compared_as_it_is_stated(run, monkeypatch
 
 
 def test_a_run_that_was_started_comes_before_a_planned_one(run):
-    folder, run_id, row = run
+    folder, _, row = run
     earlier = folder / "mine" / "evidence" / "tables"
     earlier.mkdir(parents=True)
     planned = {**row, "outcome": "not_needed", "status": "not_run", "fingerprint": ""}
