@@ -306,7 +306,7 @@ def test_a_block_runs_although_tables_of_an_archive_lie_there(tmp_path, monkeypa
         runs = campaign.tables().runs
         counts = runs[runs["outcome"] != "not_needed"].groupby("method").size().to_dict()
         assert not added or counts == added
-    assert "the tables lack runs of this block" in console.file.getvalue()
+    assert "the tables lack runs of this step" in console.file.getvalue()
 
 
 FIGURE = next((CHECKOUT / "reports" / "figures").glob("[a-z]*.py"))
