@@ -193,10 +193,10 @@ def _stored(run_id: str, results: Path) -> Stored | None:
 
 def _in_results(run_id: str, results: Path) -> Iterator[Stored]:
     for path in sorted(results.glob("**/tables/runs.parquet")):
+        refuse_damaged(path.parent)
         with readable(path):
             row = _row(path, run_id)
         if row:
-            refuse_damaged(path.parent)
             yield Stored(row, _json(path.parent))
 
 

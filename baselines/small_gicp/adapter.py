@@ -50,7 +50,7 @@ class Adapter(Baseline):
                 init_T_target_source=_in_units(pose, 1 / unit),
                 registration_type=self.variant,
                 max_correspondence_distance=self.options["max_distance"],
-                num_threads=limits.threads,
+                num_threads=1,  # the order of its sums would depend on them
                 max_iterations=self.options["max_iterations"],
                 rotation_epsilon=self.options["epsilon"],
                 translation_epsilon=self.options["epsilon"],
