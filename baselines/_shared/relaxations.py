@@ -59,7 +59,6 @@ class Relaxation(SpaceBound[S]):
     """
 
     slice_pairs = 1
-
     matchings: np.ndarray
 
     def relax(self, boxes: Boxes) -> Evaluation:

@@ -40,7 +40,7 @@ class Adapter(Baseline):
         registration = Registration(
             max_num_iterations=self.options["max_iterations"],
             convergence_criterion=self.options["epsilon"],
-            max_num_threads=1,  # the order of its sums would depend on them
+            max_num_threads=limits.threads,
         )
 
         def refine(pose: np.ndarray, _budget: Budget) -> np.ndarray | None:

@@ -341,7 +341,7 @@ class SpaceBound(abc.ABC, Generic[S]):
     def map_slices(self, count: int, work: Callable[[slice], int]) -> None:
         """Apply `work` to slices that cover `count` items, in all threads.
 
-        There are several times as many slices as threads, unless they became too small; each thread takes
+        There are several times as many slices as threads, unless they would be too small. Each thread takes
         the next one when it is free. The results of `work` are added to `n_assignments`.
         """
         self.space.check()

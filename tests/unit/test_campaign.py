@@ -585,6 +585,19 @@ def test_nothing_is_begun_after_an_earlier_block_was_interrupted(tmp_path, monke
     assert begun == [(NAME, "resumed")]
 
 
+@pytest.mark.parametrize(("hours", "listed"), [(1.0, ["killed"]), (0.0, None)])
+def test_a_call_lists_the_runs_of_a_killed_one_unless_it_only_shows(
+    hours, listed, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("DCREG_ARCHIVES", "")
+    monkeypatch.setattr(run, "_run", lambda *_, **__: False)
+    monkeypatch.setattr(run, "_ahead", lambda *_: [])
+    monkeypatch.setattr(Campaign, "ended", lambda self: pd.DataFrame({"run_id": ["killed"]}))
+    run.collect(hours, [NAME], tmp_path, 1, tmp_path / "out")
+    steps = tmp_path / "out" / growth.STEPS
+    assert (list(pd.read_csv(steps)["run_id"]) if steps.exists() else None) == listed
+
+
 def test_a_verdict_that_was_taken_back_is_named():
     table = pd.DataFrame(
         {

@@ -182,7 +182,8 @@ def test_a_better_run_of_another_machine_does_not_replace_one_whose_time_is_used
 
 def test_copies_of_a_run_make_no_machine_the_one_whose_times_are_used(tmp_path):
     late, other = run(1, status="time_limit"), {"machine_id": "m2"}
-    copies = [results(tmp_path / name, late, run(2)) for name in "ab"]
+    unsupported = [run(number, status="unsupported") for number in (5, 6, 7)]
+    copies = [results(tmp_path / name, late, run(2), *unsupported) for name in "ab"]
     more = results(tmp_path / "c", *(run(number, **other) for number in (1, 3, 4)))
     merge([*copies, more], tmp_path / "out", mixed_machines=True)
     assert next(r for r in merged(tmp_path / "out") if r["run_id"] == "run1") == run(1, **other)

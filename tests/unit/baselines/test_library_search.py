@@ -111,7 +111,6 @@ def test_a_bound_in_our_search_works_alone():
         assert registry.load(name, search="ours").mode("similarity2d").make_cover is None
 
 
-@pytest.mark.usefixtures("thin_slices")
 def test_hbsp_bounds_rotations_alike_with_any_threads(rng):
     space = Rotation3D(rng.normal(size=(7, 3)), rng.normal(size=(6, 3)), 5)
     boxes = Boxes.of(space.roots()[:1])
