@@ -592,6 +592,7 @@ def test_a_call_lists_the_runs_of_a_killed_one_unless_it_only_shows(
     monkeypatch.setenv("DCREG_ARCHIVES", "")
     monkeypatch.setattr(run, "_run", lambda *_, **__: False)
     monkeypatch.setattr(run, "_ahead", lambda *_: [])
+    monkeypatch.setattr(run, "_write", lambda *_: None)
     monkeypatch.setattr(Campaign, "ended", lambda self: pd.DataFrame({"run_id": ["killed"]}))
     run.collect(hours, [NAME], tmp_path, 1, tmp_path / "out")
     steps = tmp_path / "out" / growth.STEPS
