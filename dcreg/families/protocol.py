@@ -341,8 +341,8 @@ class SpaceBound(abc.ABC, Generic[S]):
     def map_slices(self, count: int, work: Callable[[slice], int]) -> None:
         """Apply `work` to slices that cover `count` items, in all threads.
 
-        There are several times as many slices as threads, or fewer if they would be too small. Each thread
-        takes the next one when it is free. The results of `work` are added to `n_assignments`.
+        There are several times as many slices as threads, or fewer if they would be too small. Each
+        thread takes the next one when it is free. The results of `work` are added to `n_assignments`.
         """
         self.space.check()
         large_enough = count * self.space.n_pairs // self.slice_pairs
