@@ -132,7 +132,7 @@ def run(
         *("--config", f"experiment={experiment}", f"select={' '.join(select)}", *needs),
     ]
     if code := run_snakemake(
-        directory, name, arguments, profiles, lambda: View(plan, folder, jobs)
+        directory, name, arguments, profiles, lambda: View(plan, folder, jobs), plan=plan
     ):
         what = "stopped" if code == INTERRUPTED else "some stages failed; see the messages above"
         print(

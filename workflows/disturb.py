@@ -23,8 +23,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.distance import cdist
-from scipy.spatial.transform import Rotation
 
 from data.contract import Dataset, PrototypeDataset, RawInstance, RecordedDataset
 from data.sampling import reference_pose
@@ -158,6 +156,8 @@ def warp(
     points: np.ndarray, coefficient: float, rng: np.random.Generator, width: float = WARP_WIDTH
 ) -> np.ndarray:
     """Return ``x + K g c`` with a Gaussian kernel K of `width`, standard normal g, coefficient c."""
+    from scipy.spatial.distance import cdist  # the names of the tests are known without it
+
     kernel = np.exp(-cdist(points, points, "sqeuclidean") / (2 * width**2))
     return points + kernel @ rng.standard_normal(points.shape) * coefficient
 
@@ -201,6 +201,8 @@ def random_pose(dim: int, rng: np.random.Generator) -> np.ndarray:
         cos, sin = np.cos(angle), np.sin(angle)
         T[:2, :2] = scale * np.array([[cos, -sin], [sin, cos]])
     else:
+        from scipy.spatial.transform import Rotation
+
         T[:3, :3] = Rotation.random(random_state=rng).as_matrix()
     T[:dim, dim] = rng.uniform(-MAX_SHIFT, MAX_SHIFT, dim)
     return T

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import importlib.util
+import multiprocessing
 import os
 import shutil
 import signal
@@ -27,6 +29,7 @@ from workflows.integrity import set_aside_damaged
 
 if TYPE_CHECKING:
     from workflows.live import View
+    from workflows.stages.plan import Plan
 
 INTERRUPTED = 130  # exit code, as in shells
 USER_ERROR = 2  # exit code of `workflows.cli.user_errors`, which prints the reason
@@ -34,6 +37,8 @@ PATIENCE_S = 20.0  # for Snakemake to end after SIGTERM
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PROFILES = CHECKOUT / "workflows" / "profiles"
 PROFILE = "profile.yaml"
+# Snakemake is forked, so it need not import what this process has imported.
+_context = multiprocessing.get_context("fork")
 
 
 class BusyError(UserError):
@@ -94,11 +99,13 @@ def run_snakemake(
     profiles: Sequence[Profile] = (),
     view_of: Callable[[], View] | None = None,
     end: float = float("inf"),
+    plan: Plan | None = None,
 ) -> int:
     """Run Snakemake on experiment `name` below `directory`; return its exit code, or `INTERRUPTED`.
 
     The arguments must end with those of ``--config``. Later profiles override earlier ones. `view_of`
-    makes the view of the running experiment, after damaged results were set aside.
+    makes the view of the running experiment, after damaged results were set aside. `plan` must be that of
+    the arguments; without it, Snakemake reads the config.
 
     Snakemake and its jobs form a separate process group. At Ctrl-C, SIGTERM or SIGHUP, or when
     `time.monotonic` reaches `end`, they receive SIGTERM, at which Snakemake starts no new job. At a
@@ -109,8 +116,8 @@ def run_snakemake(
     ------
     BusyError
     """
-    command = [
-        *(sys.executable, "-m", "snakemake", "--snakefile", str(CHECKOUT / "Snakefile")),
+    words = [
+        *("--snakefile", str(CHECKOUT / "Snakefile")),
         *("--keep-going", "--rerun-incomplete", "--quiet", "all"),
         "--force-use-threads",  # otherwise each job is run by another Snakemake
         *("--scheduler", "greedy"),  # the default solves an integer programme whenever a job ends
@@ -129,33 +136,32 @@ def run_snakemake(
             return
         deadline = time.monotonic() + PATIENCE_S
         print("\nstopping … (press again to kill)", file=sys.stderr, flush=True)
-        os.killpg(process.pid, gentle)
+        os.killpg(pid, gentle)
 
     with the_only_run(directory, name) as lock, NamedTemporaryFile("r", encoding="utf-8") as errors:
         _set_aside_damaged(directory / "results" / name)
         _correct_times(directory / "results" / name)
         view = view_of() if view_of else None
-        process = subprocess.Popen(
-            [*command, f"errors={errors.name}"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE if view and view.is_live else None,
-            stderr=subprocess.STDOUT if view and view.is_live else None,
-            text=True,
-            process_group=0,
-            pass_fds=[lock.fileno()],
+        reader, writer = os.pipe() if view and view.is_live else (-1, -1)
+        process = _context.Process(
+            target=_snakemake, args=([*words, f"errors={errors.name}"], plan, writer)
         )
-        _write(lock, f"process {os.getpid()} (its Snakemake is process {process.pid})")
+        process.start()
+        assert process.pid
+        pid = process.pid
+        with suppress(OSError):  # the process does the same
+            os.setpgid(pid, pid)
+        _write(lock, f"process {os.getpid()} (its Snakemake is process {pid})")
         before = {number: signal.signal(number, interrupt) for number in ENDING}
         try:
             with view or nullcontext():
-                output = view.follow(process.stdout) if view and process.stdout else None
-                while process.poll() is None:
+                output = view.follow(_received(reader, writer)) if view and view.is_live else None
+                while process.exitcode is None:
                     if time.monotonic() > deadline:
-                        os.killpg(process.pid, signal.SIGKILL)
+                        os.killpg(pid, signal.SIGKILL)
                     elif time.monotonic() > end and deadline == float("inf"):
                         interrupt(signal.SIGTERM, None)
-                    with suppress(subprocess.TimeoutExpired):
-                        process.wait(timeout=0.5)
+                    process.join(timeout=0.5)
                     if view:
                         view.update()
                 if output:
@@ -163,10 +169,35 @@ def run_snakemake(
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
-        has_failed = process.returncode and deadline == float("inf")
+        has_failed = process.exitcode and deadline == float("inf")
         if has_failed and (text := _unexplained(errors.read())):
             print(text, file=sys.stderr)
-    return process.returncode if deadline == float("inf") else INTERRUPTED
+    return process.exitcode or 0 if deadline == float("inf") else INTERRUPTED
+
+
+def _snakemake(words: Sequence[str], plan: Plan | None, output: int) -> None:
+    """Run Snakemake as the only purpose of this process, with its messages to the pipe `output`."""
+    gc.freeze()  # what it shares with the parent process is not copied
+    os.setpgid(0, 0)
+    if output >= 0:
+        os.dup2(output, 1)
+        os.dup2(output, 2)
+    # those of the parent process may lead elsewhere
+    sys.stdout = open(1, "w", encoding="utf-8", buffering=1, closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", encoding="utf-8", buffering=1, closefd=False)  # noqa: SIM115
+    from snakemake.cli import main
+
+    from workflows.stages import commands
+
+    commands.known = plan
+    sys.argv = ["snakemake", *words]
+    main(words)
+
+
+def _received(reader: int, writer: int) -> IO[str]:
+    """Return the stream of what other processes write to a pipe."""
+    os.close(writer)
+    return open(reader, encoding="utf-8", errors="replace")
 
 
 def snakemake_report(directory: Path, name: str, config: Sequence[str], out: Path) -> None:

@@ -195,6 +195,7 @@ def _run(
          "--config", f"experiment={campaign.name}", *_settings(campaign, part)],
         view_of=lambda: View(plan, campaign.folder.parent, cores, console),
         end=end,
+        plan=plan,
     )  # fmt: skip
     has_ended = not code and bool(part or campaign.tables())
     ended = campaign.ended()

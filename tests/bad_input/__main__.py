@@ -7,6 +7,7 @@ and memory.
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import os
 import re
@@ -20,6 +21,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from typer.main import get_command
 
 from dcreg.cli.program import app
 from tests.bad_input import AREAS
@@ -31,6 +33,7 @@ LOADED_LATE = (
     "pydantic", "scipy.io", "typer.rich_utils", "workflows.config",
     "dcreg.cli.progress", "dcreg.driver.solve", "dcreg.driver.sweep",
 )  # fmt: skip
+COMMAND = get_command(app)
 COUNTS = ("tracebacks", "hangs", "memory deaths", "accepted", "unclear messages")
 
 
@@ -41,6 +44,7 @@ def main(areas: list[str]) -> int:
     assert not twice, f"the same name twice: {twice}"
     for name in LOADED_LATE:
         importlib.import_module(name)  # here, not in every process
+    gc.freeze()  # processes share the objects; those that collect garbage would copy them
     found: Counter[str] = Counter()
     for case in cases:
         fault, message = judge(case)
@@ -128,7 +132,7 @@ def _code_of(case: Case) -> int:
             return 2
         return 0
     try:
-        app(list(case.run), prog_name="dcreg")
+        COMMAND(list(case.run), prog_name="dcreg")
     except SystemExit as ended:
         return int(ended.code or 0)
     return 0

@@ -531,7 +531,7 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
     monkeypatch.setenv("DCREG_ARCHIVES", "")  # whose many runs would be read
     views = []
 
-    def snakemake(directory, name, arguments, view_of, end):
+    def snakemake(directory, name, arguments, view_of, end, plan):
         views.append(view_of())
         return 1
 

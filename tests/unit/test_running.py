@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import time
 
 import pytest
 
-from workflows import running
 from workflows.running import INTERRUPTED, BusyError, _correct_times, run_snakemake, the_only_run
 
 
@@ -62,12 +60,7 @@ def test_files_from_the_future_get_the_present_time(tmp_path):
 
 def test_snakemake_is_stopped_at_the_given_time(tmp_path, monkeypatch):
     """Also if that time is over before it starts: a signal to this process would end it then."""
-    start = subprocess.Popen
-
-    def sleeping(command, **settings):
-        return start(["sleep", "20"], process_group=settings["process_group"])
-
-    monkeypatch.setattr(running.subprocess, "Popen", sleeping)
+    monkeypatch.setattr("snakemake.cli.main", lambda words: time.sleep(20))
     began = time.monotonic()
     assert run_snakemake(tmp_path, "a", ["--config"], end=began) == INTERRUPTED
     assert time.monotonic() < began + 10.0

@@ -15,12 +15,12 @@ from snakemake.logging import logger
 from snakemake_interface_executor_plugins.settings import ExecMode
 
 from baselines import registry
-from workflows.blocks import Needs
 from workflows.cluster import Measured
-from workflows.config import ConfigError, load, origin, parse_selection
+from workflows.config import ConfigError
 from workflows.forking import run_stage
 from workflows.hashing import digest, digest_files
-from workflows.stages.plan import expand, method_identity
+from workflows.stages.commands import planned
+from workflows.stages.plan import method_identity
 
 CONFIG = str(config.get("experiment", "demo"))
 SELECT = str(config.get("select") or "").split()  # as in "methods=icp,cpd tests=noise"
@@ -33,8 +33,7 @@ if "errors" in config and workflow.is_main_process:
     logger.addHandler(to_file)
 
 try:
-    BLOCKS = Needs.read(Path(NEEDS)) if NEEDS else None
-    PLAN = expand(load(CONFIG), parse_selection(SELECT), origin(CONFIG), BLOCKS)
+    PLAN = planned(CONFIG, SELECT, Path(NEEDS) if NEEDS else None)
 except ConfigError as error:
     raise WorkflowError(str(error))
 
