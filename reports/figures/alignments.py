@@ -65,9 +65,10 @@ def assemble(
     """
     up = np.array([1.0, -1.0]) if flip else 1.0
     instances = tables.runs.set_index("run_id")["instance_id"]
-    known = tables.runs.drop_duplicates(["instance_id", "method"])
-    runs = {(run["instance_id"], run["method"]): run for _, run in known.iterrows()}
     shown = [instances[item["run_id"]] for _, item in rows]
+    known = tables.runs[tables.runs["instance_id"].isin(shown)]
+    known = known.drop_duplicates(["instance_id", "method"])
+    runs = {(run["instance_id"], run["method"]): run for _, run in known.iterrows()}
     methods = [method for method in methods if any((at, method) in runs for at in shown)]
     panels = []
     for row, (name, item) in enumerate(rows):
