@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import typer
 from pandas.testing import assert_frame_equal
 from scipy.stats import bootstrap
 
@@ -25,7 +26,7 @@ from workflows.outcomes import OUTCOMES
 from workflows.stages import aggregate as stage
 from workflows.stages.aggregate import aggregate, join_runs
 from workflows.stages.plan import Plan, expand
-from workflows.studies import synthetic
+from workflows.studies import million, synthetic
 
 RULE = Path(__file__).parents[2] / "workflows" / "rules" / "aggregate.smk"
 EVENTS = 6  # mean length of a history; the short ones make the test quick
@@ -215,3 +216,19 @@ def test_missing_and_double_results_are_refused(plan, folder, tmp_path):
         with pytest.raises(records.SchemaError, match=message):
             aggregate(plan, tmp_path)
     assert not list(tmp_path.glob("tables/*"))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "peak_gb", "code"), [(59.0, 3.9, 0), (61.0, 1.0, 1), (9.0, 4.1, 1)]
+)
+def test_more_than_the_stated_time_or_memory_is_a_failure(
+    tmp_path, monkeypatch, seconds, peak_gb, code
+):
+    steps = [("aggregate", 1.0, 1.0), ("tables", seconds - 1.0, peak_gb), ("report", 99.0, 9.0)]
+    table = pd.DataFrame(steps, columns=["step", "wall_s", "peak_gb"])
+    monkeypatch.setattr(million, "study", lambda *_, **__: table)
+    monkeypatch.setattr(million, "costs", pd.DataFrame)
+    with pytest.raises(typer.Exit) as ended:
+        million.main(tmp_path, synthetic.RUNS_PER_TRIAL)
+    assert ended.value.exit_code == code
+    assert (tmp_path / "million.csv").is_file()
