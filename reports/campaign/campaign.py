@@ -11,7 +11,7 @@ import pandas as pd
 
 from baselines import registry
 from reports.archive.read import restore
-from reports.campaign.forecast import TIMED, Forecast, Times, bytes_per_run
+from reports.campaign.forecast import TIMED, Forecast, Times, bytes_of
 from reports.campaign.pilot import PILOTS
 from reports.ledger.book import Ledger
 from reports.ledger.evidence import Evidence, plain_name
@@ -114,7 +114,7 @@ class Campaign:
         here = machine_card()["machine_id"]
         known = [part for runs in known for part in _by_machine(runs, here)]
         own = None if tables is None else int((tables.runs["outcome"] != NOT_NEEDED).sum())
-        measured = bytes_per_run(self.folder.parent, own) if own else None
+        measured = bytes_of(self.folder.parent) / own if own else None
         return Times.of(known, self.experiment, measured)
 
     @cached_property

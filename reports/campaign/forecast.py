@@ -165,7 +165,6 @@ def _cells(runs: pd.DataFrame) -> pd.DataFrame:
     return grouped.agg(["size", "mean", "median"]).assign(p90=grouped.quantile(0.9))
 
 
-def bytes_per_run(folder: Path, count: int) -> float | None:
-    """Return the bytes of a folder of results per run; None without runs."""
-    files = (path for path in folder.rglob("*") if path.is_file())
-    return sum(path.stat().st_size for path in files) / count if count else None
+def bytes_of(folder: Path) -> int:
+    """Return the bytes of the files of a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

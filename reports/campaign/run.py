@@ -15,7 +15,7 @@ from rich.table import Table
 from dcreg.files import whole_file
 from reports.campaign.campaign import Campaign
 from reports.campaign.choice import Option, options
-from reports.campaign.forecast import Forecast, Pair, seconds_of
+from reports.campaign.forecast import Forecast, Pair, bytes_of, seconds_of
 from reports.campaign.growth import STEPS, changes, record, record_rest, verdicts
 from reports.campaign.pilot import begun, pilots, store, unmeasured
 from reports.ledger.book import Ledger, ledger
@@ -187,13 +187,15 @@ def _run(
     if time.monotonic() >= end:
         return _stopped(INTERRUPTED, end, console)
     before, began = set(campaign.ended()["run_id"]), time.monotonic()
+    folder = campaign.folder.parent
+    bytes_before = bytes_of(folder)
     plan = expand(campaign.experiment, part, origin(campaign.name)) if part else campaign.plan()
     code = run_snakemake(
         campaign.directory,
         campaign.experiment.name,
         [*_targets(campaign, plan), "--cores", str(cores), "--resources", "fetching=1",
          "--config", f"experiment={campaign.name}", *_settings(campaign, part)],
-        view_of=lambda: View(plan, campaign.folder.parent, cores, console),
+        view_of=lambda: View(plan, folder, cores, console),
         end=end,
         plan=plan,
     )  # fmt: skip
@@ -209,6 +211,7 @@ def _run(
             "planned": expected.runs, "unseen": expected.unseen,
             "forecast_s": round(expected.seconds, 1), "actual_s": round(actual, 1),
             "wall_s": round(time.monotonic() - began, 1), "forecast_mb": expected.megabytes,
+            "actual_mb": (bytes_of(folder) - bytes_before) / 1e6,
         },
     )  # fmt: skip
     console.print(f"          took {actual / 60:.0f} min of run time")

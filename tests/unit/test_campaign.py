@@ -21,7 +21,7 @@ from reports.campaign import comparisons as comparing
 from reports.campaign.campaign import Campaign
 from reports.campaign.choice import Option, options
 from reports.campaign.comparisons import comparisons
-from reports.campaign.forecast import Forecast, Times, bytes_per_run
+from reports.campaign.forecast import Forecast, Times, bytes_of
 from reports.campaign.growth import changes
 from reports.ledger.book import ledger
 from reports.ledger.evidence import Evidence, plain_name
@@ -130,8 +130,7 @@ def test_disk_is_forecast_from_the_bytes_per_run(tmp_path):
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "a.parquet").write_bytes(bytes(3000))
     (tmp_path / "plan.parquet").write_bytes(bytes(1000))
-    assert bytes_per_run(tmp_path, 0) is None
-    known = Times.of([], EXPERIMENT, bytes_per_run(tmp_path, 4))
+    known = Times.of([], EXPERIMENT, bytes_of(tmp_path) / 4)
     plan = expand(EXPERIMENT, None, NAME, Needs({"noise": {"rpm_pa": 1}}))
     found = known.of_runs(plan.runs())
     assert found.megabytes == pytest.approx(found.runs * 1000 / 1e6)
@@ -533,6 +532,7 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
 
     def snakemake(directory, name, arguments, view_of, end, plan):
         views.append(view_of())
+        (campaign.folder / "made").write_bytes(bytes(3_000))
         return 1
 
     monkeypatch.setattr(run, "run_snakemake", snakemake)
@@ -548,7 +548,8 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
     assert views[0].summary([]).startswith(f"0 of {count} runs ended")
     assert views[0].console is console
     log = pd.read_csv(tmp_path / FORECASTS)  # of the interrupted block
-    assert log[["claim", "planned", "runs"]].to_numpy().tolist() == [["claim", 1, 0]]
+    shown = ["claim", "planned", "runs", "actual_mb"]
+    assert log[shown].to_numpy().tolist() == [["claim", 1, 0, 0.003]]
 
 
 def test_nothing_is_begun_once_the_time_is_over(tmp_path, monkeypatch):
