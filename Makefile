@@ -195,7 +195,7 @@ fuzz: dev
 questions: dev
 	@$(BIN)/python -m tests.questions --count $(or $(COUNT),1000)
 
-## exact: prove COUNT certificates of small 2D problems in integers and count those refused or wrong (expected: 0)
+## exact: check COUNT certificates of small 2D problems in integers, count those not proven or wrong (expected: 0)
 .PHONY: exact
 exact: dev
 	@$(BIN)/python -m tests.exact --count $(or $(COUNT),1000)
@@ -238,7 +238,7 @@ history: setup
 library: setup
 	@$(BIN)/python -m workflows.library run $(or $(SOLVER),dcreg) $(PROBLEMS) $(if $(LIMIT),--limit $(LIMIT))
 
-## library-check: check all poses of the library by two evaluators, and a sample of its proofs (ALL=1: every proof; those that are too large to be stored are made again)
+## library-check: check all poses of the library by two evaluators, and a sample of its proofs (ALL=1: every proof; proofs too large to store are recomputed)
 .PHONY: library-check
 library-check: setup
 	@$(BIN)/python -m data.library check $(if $(ALL),--all)
@@ -249,7 +249,7 @@ library-check: setup
 library-page: setup
 	@$(BIN)/python -m reports library
 
-## lock: remake the lock files with the hashes of their versions (needs a network)
+## lock: update the hashes in the lock files; versions stay (needs a network)
 .PHONY: lock
 lock: $(VENV)-tools/.installed
 	@workflows/lock.sh $(VENV)-tools/bin/uv
