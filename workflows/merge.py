@@ -334,7 +334,8 @@ def _one_of(method: str, first: Found, second: Found, *, main: str, is_exact: bo
     ranks = [_rank(found.row["status"]) for found in (first, second)]
     if is_exact and ranks == [0, 0]:
         one, other = (_result(found.row) for found in (first, second))
-        if found := _contradiction(one, other):
+        same = first.row["machine_id"] == second.row["machine_id"]
+        if found := _contradiction(one, other, same_machine=same):
             name, value, against = found
             raise MergeError(
                 f"{first.place} and {second.place}: run {first.row['run_id']} of {method} has {name} "
@@ -348,14 +349,17 @@ def _one_of(method: str, first: Found, second: Found, *, main: str, is_exact: bo
     return second if ranks[1] < ranks[0] else first
 
 
-def _contradiction(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, Any, Any] | None:
+def _contradiction(
+    one: Mapping[str, Any], other: Mapping[str, Any], *, same_machine: bool
+) -> tuple[str, Any, Any] | None:
     """Return name and values of what contradicts in two results; None if nothing does.
 
-    After the same work all values must be equal. Two searches that ended by themselves may differ in
-    their work, because elapsed time ends some of their stages. Then their bounds must not cross.
+    After the same work on one machine all values must be equal; other machines round differently. Two
+    searches that ended by themselves may differ in their work, because elapsed time ends some of their
+    stages. In both cases, their bounds must not cross.
     """
     differing = [name for name, value in one.items() if value != other.get(name)]
-    if not any(name in COUNTERS for name in differing):
+    if same_machine and not any(name in COUNTERS for name in differing):
         return (name := differing[0], one[name], other.get(name)) if differing else None
     for lower, upper in (
         (one["lower_bound"], other["upper_bound"]),

@@ -49,6 +49,8 @@ def _index(folder: Path, out: Path) -> Path:
     runs = pd.read_parquet(folder / RUNS, columns=["experiment", "outcome"])
     found = pd.crosstab(runs["experiment"], runs["outcome"])
     page = out / "index.html"
+    forecasts = _forecasts(out / EVIDENCE / FORECASTS)
+    verdicts = _rows(out / EVIDENCE / VERDICTS)
     page.write_text(
         templating.environment()
         .get_template("archive.html")
@@ -56,8 +58,10 @@ def _index(folder: Path, out: Path) -> Path:
             facts=facts,
             counts={name: found[name] for name in OUTCOMES if name in found},
             clouds=clouds.sentences(facts),
-            forecasts=_forecasts(out / EVIDENCE / FORECASTS),
-            verdicts=_rows(out / EVIDENCE / VERDICTS),
+            forecasts=forecasts,
+            logged=sum(row["actual_s"] for row in forecasts),
+            spent=float(list(verdicts[0])[-1]) if verdicts else 0.0,
+            verdicts=verdicts,
             open_claims=_open(out),
         ),
         encoding="utf-8",

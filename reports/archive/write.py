@@ -22,7 +22,7 @@ from reports.archive.read import restore
 from reports.archive.sources import public, write_readme, write_sources
 from reports.ledger.evidence import STUDY
 from reports.tables import ReportError, Tables, started_in, thinned
-from workflows import provenance, records
+from workflows import HISTORY, provenance, records
 from workflows.archives import CHECKSUMS, FACTS, RUNS, TRACES, check
 from workflows.blocks import EVIDENCE, NEEDS
 from workflows.integrity import digest
@@ -113,7 +113,7 @@ def _write(results: Sequence[Path], earlier: Path, out: Path, version: str) -> P
         each.experiment: write_sources(each, part / "experiments" / each.experiment)
         for each in tables
     }
-    facts = _facts(shown, version)
+    facts = _facts(shown, version, _machines(shown, out))
     room = int(SHARE_BEFORE_CHECKSUMS * MOST_BYTES) - _size(part)
     for name, counts in clouds.write(tables, part, room).items():
         facts["experiments"][name]["clouds"] = counts
@@ -189,13 +189,15 @@ def _store(table: pd.DataFrame, path: Path) -> None:
     table.to_parquet(path, index=False, compression="zstd", compression_level=19)
 
 
-def _facts(tables: Sequence[Tables], version: str) -> dict[str, Any]:
+def _facts(
+    tables: Sequence[Tables], version: str, machines: list[dict[str, Any]]
+) -> dict[str, Any]:
     return {
         "version": version,
         "created": provenance.now(),
         "schema_version": records.SCHEMA_VERSION,
         "git": {key: value for key, value in provenance.git_state().items() if key != "untracked"},
-        "machines": sorted({str(each.provenance.get("machine", {}).get("cpu")) for each in tables}),
+        "machines": machines,
         "experiments": {
             each.experiment: {
                 "title": each.provenance.get("config", {}).get("title", ""),
@@ -207,6 +209,25 @@ def _facts(tables: Sequence[Tables], version: str) -> dict[str, Any]:
             for each in tables
         },
     }
+
+
+def _machines(tables: Sequence[Tables], out: Path) -> list[dict[str, Any]]:
+    """Return the machines with their started runs; cards may be those of the archive that is replaced."""
+    stored = json.loads((out / FACTS).read_text("utf-8"))["machines"] if out.is_dir() else []
+    records = sorted(HISTORY.glob("*/*/about.json"))
+    cards = [
+        *(card for card in stored if isinstance(card, dict)),  # earlier archives have names only
+        *(json.loads(path.read_text("utf-8")).get("machine", {}) for path in records),
+        *(each.provenance.get("machine", {}) for each in tables),
+    ]
+    known = {card.get("machine_id"): card for card in cards}
+    started = pd.concat(
+        [each.runs.loc[each.runs["outcome"].isin(STARTED), "machine_id"] for each in tables]
+    )
+    return [
+        {"cpu": "unknown processor", **known.get(name, {}), "machine_id": name, "runs": int(runs)}
+        for name, runs in started.value_counts().items()
+    ]
 
 
 def _write_checksums(out: Path) -> None:

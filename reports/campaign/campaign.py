@@ -87,6 +87,10 @@ class Campaign:
         needs = Needs.read(self.needs_path) if self.needs_path.is_file() else Needs({})
         return expand(self.experiment, None, origin(self.name), needs)
 
+    def bytes_of_runs(self) -> int:
+        """Return the disk space of runs, instances and plans, without that of the tables."""
+        return bytes_of(self.folder.parent) - bytes_of(self.folder)
+
     def tables(self) -> Tables | None:
         """Return the tables of the finished blocks; None before the first one."""
         path = self.folder / "tables"
@@ -104,7 +108,6 @@ class Campaign:
         Those of this machine come before those of others. Archived runs of other experiments are known as
         well, as other tests.
         """
-        tables = self.tables()
         quick = self.folder.parent.with_name(f"{self.experiment.name}{QUICK}") / "tables"
         known = [self.ended(), self.archived_runs]
         if (quick / "accounting.csv").is_file():
@@ -113,8 +116,8 @@ class Campaign:
             known.append(others.assign(test=others["experiment"] + " " + others["test"]))
         here = machine_card()["machine_id"]
         known = [part for runs in known for part in _by_machine(runs, here)]
-        own = None if tables is None else int((tables.runs["outcome"] != NOT_NEEDED).sum())
-        measured = bytes_of(self.folder.parent) / own if own else None
+        own = len(self.ended())  # adopted runs have no files here
+        measured = self.bytes_of_runs() / own if own else None
         return Times.of(known, self.experiment, measured)
 
     @cached_property

@@ -39,7 +39,7 @@ def record(path: Path, run_ids: Iterable[str]) -> None:
 def record_rest(path: Path, ended: Iterable[str]) -> None:
     """Add a step with the runs that have none, such as those of a call that was killed."""
     known = set(_read(path)["run_id"])
-    if rest := [run_id for run_id in ended if run_id not in known]:
+    if rest := [run_id for run_id in dict.fromkeys(ended) if run_id not in known]:
         record(path, rest)
 
 

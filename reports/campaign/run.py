@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import shutil
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -15,16 +15,17 @@ from rich.table import Table
 from dcreg.files import whole_file
 from reports.campaign.campaign import Campaign
 from reports.campaign.choice import Option, options
-from reports.campaign.forecast import Forecast, Pair, bytes_of, seconds_of
+from reports.campaign.forecast import Forecast, Pair, seconds_of
 from reports.campaign.growth import STEPS, changes, record, record_rest, verdicts
 from reports.campaign.pilot import begun, pilots, store, unmeasured
 from reports.ledger.book import Ledger, ledger
+from reports.ledger.evidence import plain_name
 from workflows.archives import folders
-from workflows.blocks import EVIDENCE, FORECASTS, OPEN_CLAIMS, RUN_HOURS, VERDICTS
+from workflows.blocks import EVIDENCE, FORECASTS, NEEDS, OPEN_CLAIMS, RUN_HOURS, VERDICTS
 from workflows.compose import ConfigError
 from workflows.config import Experiment, Selection, origin
 from workflows.live import View
-from workflows.outcomes import main_machine
+from workflows.outcomes import STARTED, main_machine
 from workflows.provenance import machine_card
 from workflows.running import INTERRUPTED, run_snakemake
 from workflows.stages.plan import Plan, expand
@@ -53,9 +54,9 @@ def collect(
         campaign.adopt()
         _note_machine(campaign, console)
     _adopt_logs(out)
+    others = _others(names, directory)
     if hours > 0.0:
-        ended = (run for each in campaigns.values() for run in each.ended()["run_id"])
-        record_rest(out / STEPS, ended)
+        record_rest(out / STEPS, _started([*campaigns.values(), *others.values()]))
     end = time.monotonic() + 3600.0 * hours
     run = functools.partial(_run, end=end, cores=cores, out=out, console=console)
     may_go_on = _finish_blocks(campaigns.values(), run)
@@ -75,8 +76,30 @@ def collect(
             may_go_on = run(campaign, option.claim, option.step)
         ahead = _ahead(book, campaigns)
     left = [option for _, option in ahead]
-    _write(out, book, campaigns, left, console)
+    rest = [option for _, option in _ahead(book, others)]
+    _write(out, book, campaigns | others, left + rest, console)
     return left
+
+
+def _others(names: Sequence[str], directory: Path) -> dict[str, Campaign]:
+    """Return the other experiments with archived evidence, which the written tables must not lose."""
+    known = {plain_name(name) for name in names}
+    latest = folders()[-1:]
+    stored = [path.parent.name for at in latest for path in at.glob(f"experiments/*/{NEEDS}")]
+    others = {
+        name: Campaign(name, directory) for name in sorted(stored) if plain_name(name) not in known
+    }
+    for campaign in others.values():
+        campaign.adopt()
+    return others
+
+
+def _started(campaigns: Iterable[Campaign]) -> Iterator[str]:
+    """Yield the runs that have ended, here or before they were archived."""
+    for campaign in campaigns:
+        yield from campaign.ended()["run_id"]
+        if (tables := campaign.tables()) is not None:
+            yield from tables.runs.loc[tables.runs["outcome"].isin(STARTED), "run_id"]
 
 
 def _adopt_logs(out: Path) -> None:
@@ -187,15 +210,14 @@ def _run(
     if time.monotonic() >= end:
         return _stopped(INTERRUPTED, end, console)
     before, began = set(campaign.ended()["run_id"]), time.monotonic()
-    folder = campaign.folder.parent
-    bytes_before = bytes_of(folder)
+    bytes_before = campaign.bytes_of_runs()
     plan = expand(campaign.experiment, part, origin(campaign.name)) if part else campaign.plan()
     code = run_snakemake(
         campaign.directory,
         campaign.experiment.name,
         [*_targets(campaign, plan), "--cores", str(cores), "--resources", "fetching=1",
          "--config", f"experiment={campaign.name}", *_settings(campaign, part)],
-        view_of=lambda: View(plan, folder, cores, console),
+        view_of=lambda: View(plan, campaign.folder.parent, cores, console),
         end=end,
         plan=plan,
     )  # fmt: skip
@@ -211,7 +233,7 @@ def _run(
             "planned": expected.runs, "unseen": expected.unseen,
             "forecast_s": round(expected.seconds, 1), "actual_s": round(actual, 1),
             "wall_s": round(time.monotonic() - began, 1), "forecast_mb": expected.megabytes,
-            "actual_mb": (bytes_of(folder) - bytes_before) / 1e6,
+            "actual_mb": (campaign.bytes_of_runs() - bytes_before) / 1e6,
         },
     )  # fmt: skip
     console.print(f"          took {actual / 60:.0f} min of run time")

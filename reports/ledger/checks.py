@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 import pandas as pd
@@ -151,12 +152,12 @@ def _allowance(means: np.ndarray) -> np.ndarray:
 def rise(source: Source, p: Parameters) -> Finding:
     """Error at the highest level over the error at the lowest one, paired by trial.
 
-    ``steps``: the largest ratio between consecutive levels. An error may already be large at the last
-    level but one, so the last step alone does not show a rise.
+    ``within``: the largest ratio between two levels of which the higher is at most so many times the
+    lower. An error may already be large at the last level but one, so the last step alone shows no rise.
     """
     quantity = p.get("quantity", "error")
     finding = Finding(f"mean {titled(quantity, unit=False)} at the higher level / at the lower")
-    statistic = _steepest if p.get("steps") else _overall
+    within = p.get("within")
     for role in p["methods"]:
         for name, runs in source.runs(role, p, finding):
             for test, part in runs.groupby("test", sort=False):
@@ -164,9 +165,14 @@ def rise(source: Source, p: Parameters) -> Finding:
                     finding.miss(f"a second level of {words(str(test))}")
                     continue
                 if (table := _by_level(part, quantity)) is not None:
+                    statistic = (
+                        _overall
+                        if within is None
+                        else _steepest(table.columns.to_numpy(float), within)
+                    )
                     found = intervals.of_means(statistic, table.to_numpy())
                     ends = f"level {table.columns[-1]:g} / {table.columns[0]:g}"
-                    place = words(str(test)), "largest step" if p.get("steps") else ends
+                    place = words(str(test)), ends if within is None else "largest rise"
                     finding.add((name, ""), place, found, p["claimed"], part)
     return finding
 
@@ -175,8 +181,11 @@ def _overall(means: np.ndarray) -> np.ndarray:
     return means[:, -1] / means[:, 0]
 
 
-def _steepest(means: np.ndarray) -> np.ndarray:
-    return (means[:, 1:] / means[:, :-1]).max(axis=1)
+def _steepest(levels: np.ndarray, within: float) -> Statistic:
+    pairs = combinations(range(len(levels)), 2)
+    near = [(a, b) for a, b in pairs if levels[b] <= within * levels[a] * (1 + 1e-9)]
+    low, high = np.array(near).T
+    return lambda means: (means[:, high] / means[:, low]).max(axis=1)
 
 
 # Statistic of the means of a table with a column per level.

@@ -117,7 +117,7 @@ class Experiment:
             open_gap=_open_gap(runs),
             # a lower bound of at most 0 proves nothing
             violation=is_refuted(runs).astype(float).where(of_pose & (runs["lower_bound"] > 0)),
-            missed=_is_missed(runs).astype(float).where(runs["status"].eq("optimal") & of_pose),
+            missed=_is_missed(runs).astype(float).where(_is_comparable(runs) & of_pose),
             limited=runs["outcome"].eq("limited"),
             **_translation(runs, self.tables.cards, here),
             source=source.where(source != "", runs["dataset"]),
@@ -310,6 +310,15 @@ def _read_study(folder: Path) -> dict[str, pd.DataFrame]:
     for table in study.values():
         check_study(table, folder)
     return study
+
+
+def _is_comparable(runs: pd.DataFrame) -> pd.Series:
+    """Tell whether an optimum is one over the poses of the problem.
+
+    Algorithm 1 and some rivals also accept scales outside the range. Such a pose can have a lower
+    objective than any pose of the problem.
+    """
+    return runs["status"].eq("optimal") & ~runs["admissible"].eq(False)
 
 
 def _is_missed(runs: pd.DataFrame) -> pd.Series:

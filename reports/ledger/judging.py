@@ -215,6 +215,8 @@ def _verdict(claim: Claim, findings: list[Finding], found: list[list[Row]]) -> t
         name for (finding, _), verdict in zip(deciding, joint, strict=True)
         if not (finding.of_any and verdict == REPRODUCED) for name in finding.missing
     ))  # fmt: skip
+    if not every and claim.unjudged and any(found):
+        return NOT_RUN, ""  # all values are shown only
     if not every:
         lacking = missing or list(dict.fromkeys(f.figure for f in findings))
         return NOT_RUN, f"not in the tables: {'; '.join(lacking)}"
@@ -270,8 +272,7 @@ def _limits(experiment: Experiment, runs: dict[str, bool]) -> str:
     stated = f" ({', '.join(texts)})" if texts else ""
     share = f"{limited} of {len(runs)} deciding runs"
     share = share if limited else f"None of the {len(runs)} deciding runs"
-    how = "" if experiment.is_quick or not limited else "; the poses that they returned count"
-    return f"{share} hit a limit{stated}{how}"
+    return f"{share} hit a limit{stated}"
 
 
 def _evidence(deciding: list[Row], verdict: str) -> str:

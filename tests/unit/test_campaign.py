@@ -532,7 +532,7 @@ def test_a_block_shows_the_state_of_its_runs(tmp_path, monkeypatch):
 
     def snakemake(directory, name, arguments, view_of, end, plan):
         views.append(view_of())
-        (campaign.folder / "made").write_bytes(bytes(3_000))
+        (campaign.folder.parent / "made").write_bytes(bytes(3_000))
         return 1
 
     monkeypatch.setattr(run, "run_snakemake", snakemake)

@@ -125,7 +125,7 @@ def test_of_each_choice_the_official_method_takes_part_before_its_port():
         (f"{baseline}-{front}", baseline, {"threshold": "paper", "front_end": front}, 1.0)
         for baseline in ("teaser", "teaserpp") for front in fronts
     ]  # fmt: skip
-    role = ledger().roles["teasers"]
+    role = ledger().roles["teaser"]
     assert methods_in(role, settings) == ["teaserpp-norm-signature", "teaserpp-fpfh-mutual"]
     assert len(methods_in(role, settings[:3])) == role.n_choices == 2
 
@@ -182,7 +182,7 @@ def test_roles_prefer_the_first_front_end_and_leave_out_oracles():
     assert oracle is None
     assert role.fit("teaser", {**options, "threshold": "given"}) is None
     assert role.fit("teaser", options, 0.5) is None
-    assert ledger().roles["teasers"].fit("teaser", {**options, "front_end": "oracle"}) is None
+    assert ledger().roles["teaser"].fit("teaser", {**options, "front_end": "oracle"}) is None
 
 
 def test_claims_about_dc_reg_are_about_the_published_method():

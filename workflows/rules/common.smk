@@ -51,7 +51,9 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
 # Solve jobs that share a job of a cluster run one after the other.
 is_remote = workflow.exec_mode == ExecMode.REMOTE
 # Which other jobs share a node of a cluster is not known.
-os.environ["DCREG_PARALLEL_JOBS"] = "" if is_remote else str(workflow.cores or 1)
+threads = min(EXPERIMENT.limits_of(method).threads for method in PLAN.methods)
+jobs = 1 if "timing" in workflow.global_resources else max(1, (workflow.cores or 1) // threads)
+os.environ["DCREG_PARALLEL_JOBS"] = "" if is_remote else str(jobs)
 
 
 # `group-components` of a cluster's profile, once the rules are read, in the process that submits the jobs.

@@ -81,10 +81,18 @@ def environment(given: Mapping[str, str], threads: int, folder: Path) -> dict[st
 
 
 def hidden_folders() -> list[Path]:
-    """Return the folders that hold ground truth and poses of other methods."""
+    """Return the folders that hold ground truth and poses of other methods.
+
+    Recorded datasets contain their poses, so copies of public data are hidden as well.
+    """
+    from data.fetch import cache_root
+
     archives = filter(None, os.environ.get("DCREG_ARCHIVES", "").split(os.pathsep))
     places = [place / name for place in (CHECKOUT, Path.cwd()) for name in RESULTS]
     places += [CHECKOUT / name for name in ANSWERS]
+    places.append(cache_root())
+    if (mirror := os.environ.get("DCREG_DATA_MIRROR", "")) and "://" not in mirror:
+        places.append(Path(mirror))
     return list(dict.fromkeys(path.resolve() for path in (*places, *map(Path, archives))))
 
 
