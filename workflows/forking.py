@@ -8,9 +8,10 @@ plan receive it, so they do not read the config.
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.forkserver
 import threading
 from multiprocessing.connection import wait
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from workflows.stages.plan import Plan
@@ -23,6 +24,12 @@ _lock = threading.Lock()
 
 class StageError(RuntimeError):
     """A stage has failed; it has printed why."""
+
+
+def forget_server() -> None:
+    """Let a forked process start its own server: it cannot use that of its parent."""
+    forkserver: Any = multiprocessing.forkserver
+    forkserver._forkserver.__init__()
 
 
 def run_stage(program: str, *arguments: str, plan: Plan | None = None) -> None:

@@ -156,8 +156,11 @@ class View:
         """Print the lines of `output` above the table, from a thread."""
 
         def copy() -> None:
-            for line in output:
-                self.console.print(line.rstrip("\n"), markup=False, highlight=False, soft_wrap=True)
+            with output:
+                for line in output:
+                    self.console.print(
+                        line.rstrip("\n"), markup=False, highlight=False, soft_wrap=True
+                    )
 
         thread = threading.Thread(target=copy, daemon=True)
         thread.start()

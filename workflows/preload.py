@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import scipy.spatial.distance
+import scipy.spatial.transform  # noqa: F401
+
 import workflows.__main__
 import workflows.stages.aggregate
 import workflows.stages.fetch

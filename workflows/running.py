@@ -14,18 +14,20 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import NamedTemporaryFile, TemporaryDirectory
 from types import FrameType
 from typing import IO, TYPE_CHECKING, NamedTuple
 
 import yaml
 
 from dcreg.problem import suggestion
-from workflows import CHECKOUT, UserError, provenance
+from workflows import CHECKOUT, UserError, forking, provenance
 from workflows.blocks import EVIDENCE
 from workflows.config import Experiment
 from workflows.integrity import set_aside_damaged
+from workflows.stages import commands
 
 if TYPE_CHECKING:
     from workflows.live import View
@@ -138,24 +140,31 @@ def run_snakemake(
         print("\nstopping … (press again to kill)", file=sys.stderr, flush=True)
         os.killpg(pid, gentle)
 
-    with the_only_run(directory, name) as lock, NamedTemporaryFile("r", encoding="utf-8") as errors:
+    with (
+        the_only_run(directory, name) as lock,
+        NamedTemporaryFile("r", encoding="utf-8") as errors,
+        TemporaryDirectory(dir=directory / "results" / name, prefix=".sources-") as sources,
+    ):
         _set_aside_damaged(directory / "results" / name)
         _correct_times(directory / "results" / name)
         view = view_of() if view_of else None
-        reader, writer = os.pipe() if view and view.is_live else (-1, -1)
-        process = _context.Process(
-            target=_snakemake, args=([*words, f"errors={errors.name}"], plan, writer)
-        )
+        pipe = os.pipe() if view and view.is_live else None
+        words += [f"errors={errors.name}", "--runtime-source-cache-path", sources]
+        signal.signal(
+            signal.SIGCHLD, signal.SIG_DFL
+        )  # otherwise the end of a child may not be seen
+        process = _context.Process(target=_snakemake, args=(words, plan, pipe))
+        before = {number: signal.getsignal(number) for number in ENDING}
         process.start()
-        assert process.pid
-        pid = process.pid
-        with suppress(OSError):  # the process does the same
-            os.setpgid(pid, pid)
-        _write(lock, f"process {os.getpid()} (its Snakemake is process {pid})")
-        before = {number: signal.signal(number, interrupt) for number in ENDING}
+        pid = process.pid or 0
         try:
+            for number in ENDING:
+                signal.signal(number, interrupt)
+            with suppress(OSError):  # the process does the same
+                os.setpgid(pid, pid)
+            _write(lock, f"process {os.getpid()} (its Snakemake is process {pid})")
             with view or nullcontext():
-                output = view.follow(_received(reader, writer)) if view and view.is_live else None
+                output = view.follow(_received(*pipe)) if view and pipe else None
                 while process.exitcode is None:
                     if time.monotonic() > deadline:
                         os.killpg(pid, signal.SIGKILL)
@@ -167,6 +176,8 @@ def run_snakemake(
                 if output:
                     output.join(timeout=PATIENCE_S)
         finally:
+            if process.exitcode is None:  # an error here
+                os.killpg(pid, gentle)
             for number, handler in before.items():
                 signal.signal(number, handler)
         has_failed = process.exitcode and deadline == float("inf")
@@ -175,22 +186,29 @@ def run_snakemake(
     return process.exitcode or 0 if deadline == float("inf") else INTERRUPTED
 
 
-def _snakemake(words: Sequence[str], plan: Plan | None, output: int) -> None:
-    """Run Snakemake as the only purpose of this process, with its messages to the pipe `output`."""
+def _snakemake(words: Sequence[str], plan: Plan | None, pipe: tuple[int, int] | None) -> None:
+    """Run Snakemake as the only purpose of this process, with its messages to a pipe, if there is one.
+
+    It does not use the streams of the parent process, nor its server of stages.
+    """
     gc.freeze()  # what it shares with the parent process is not copied
     os.setpgid(0, 0)
-    if output >= 0:
-        os.dup2(output, 1)
-        os.dup2(output, 2)
-    # those of the parent process may lead elsewhere
-    sys.stdout = open(1, "w", encoding="utf-8", buffering=1, closefd=False)  # noqa: SIM115
-    sys.stderr = open(2, "w", encoding="utf-8", buffering=1, closefd=False)  # noqa: SIM115
-    from snakemake.cli import main
-
-    from workflows.stages import commands
-
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    if pipe:
+        reader, writer = pipe
+        os.close(
+            reader
+        )  # otherwise writing would block, not fail, once the parent process has died
+        os.dup2(writer, 1)
+        os.dup2(writer, 2)
+        os.close(writer)
+    stream = partial(open, mode="w", encoding="utf-8", errors="backslashreplace", buffering=1)
+    sys.stdout, sys.stderr = stream(1, closefd=False), stream(2, closefd=False)
+    forking.forget_server()
     commands.known = plan
     sys.argv = ["snakemake", *words]
+    from snakemake.cli import main
+
     main(words)
 
 

@@ -56,9 +56,9 @@ def runs_of(method: str, **columns) -> pd.DataFrame:
                 "test": "noise", "level": level, "trial": trial, "model": "similarity2d",
                 "experiment": "paper2d", "outcome": "finished", "status": "optimal",
                 "success": True, "rmse": 0.05, "rmse_floor": 0.049, "rmse_excess": 0.01,
-                "admissible": True, "T_reference": "[]", "time_solve_s": 1.0, "n_source": 98, "n_target": 98,
-                "certificate_scope": "similarity pose", "verdict": "right", "n_nodes": 100.0,
-                "n_assignments": 1600.0, "objective": 1.0, "gap_tol": 0.1, "gap": 0.05,
+                "admissible": True, "T_reference": "[]", "time_solve_s": 1.0, "n_source": 98,
+                "n_target": 98, "certificate_scope": "similarity pose", "verdict": "right",
+                "n_nodes": 100.0, "n_assignments": 1600.0, "objective": 1.0, "gap_tol": 0.1, "gap": 0.05,
                 "lower_bound": 0.95, "upper_bound": 1.0, "bound_ratio": 0.95, "objective_best": 1.0,
                 "bound_violation": 0.0, "machine_id": "m", "parallel_jobs": 1.0, "extra": "{}",
             }  # fmt: skip

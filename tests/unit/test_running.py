@@ -1,12 +1,18 @@
-"""One run at a time in a folder of results; the lock goes with the process that holds it."""
+"""One run at a time in a folder of results, and Snakemake as a process of its own."""
 
 from __future__ import annotations
 
 import os
+import signal
+import sys
+import threading
 import time
+from pathlib import Path
+from typing import IO, Self
 
 import pytest
 
+from workflows import running
 from workflows.running import INTERRUPTED, BusyError, _correct_times, run_snakemake, the_only_run
 
 
@@ -64,3 +70,82 @@ def test_snakemake_is_stopped_at_the_given_time(tmp_path, monkeypatch):
     began = time.monotonic()
     assert run_snakemake(tmp_path, "a", ["--config"], end=began) == INTERRUPTED
     assert time.monotonic() < began + 10.0
+
+
+class Following:
+    """A view on a terminal that keeps what it is shown."""
+
+    is_live = True
+
+    def __init__(self, error: type[Exception] | None = None) -> None:
+        self.lines: list[str] = []
+        self.error = error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def follow(self, output: IO[str]) -> threading.Thread:
+        def copy() -> None:
+            with output:
+                self.lines.extend(output)
+
+        thread = threading.Thread(target=copy)
+        thread.start()
+        return thread
+
+    def update(self) -> None:
+        if self.error:
+            raise self.error
+
+
+def test_snakemake_has_streams_of_its_own(tmp_path, monkeypatch):
+    """Its messages go to the view, and it reads nothing that was meant for others."""
+
+    def shows(words: list[str]) -> None:
+        print(f"read {os.read(0, 9)!r}")
+        print("of \udcff", file=sys.stderr)
+        raise SystemExit(3)
+
+    monkeypatch.setattr("snakemake.cli.main", shows)
+    view = Following()
+    assert run_snakemake(tmp_path, "a", ["--config"], view_of=lambda: view) == 3
+    assert view.lines == ["read b''\n", "of \\udcff\n"]
+
+
+def test_snakemake_ends_if_nobody_reads_its_messages(tmp_path, monkeypatch):
+    monkeypatch.setattr("snakemake.cli.main", lambda words: print("x" * 10**6, flush=True))
+    reader, writer = os.pipe()
+    process = running._context.Process(target=running._snakemake, args=([], None, (reader, writer)))
+    process.start()
+    os.close(reader)
+    os.close(writer)
+    process.join(timeout=20)
+    assert process.exitcode == 1  # BrokenPipeError
+
+
+def test_an_error_of_the_view_ends_snakemake(tmp_path, monkeypatch):
+    marker = tmp_path / "marker"
+
+    def sleeps(words: list[str]) -> None:
+        marker.write_text(str(os.getpid()))
+        time.sleep(60)
+
+    monkeypatch.setattr("snakemake.cli.main", sleeps)
+    with pytest.raises(BrokenPipeError):
+        run_snakemake(tmp_path, "a", ["--config"], view_of=lambda: Following(BrokenPipeError))
+    for process in running.multiprocessing.active_children():
+        process.join(timeout=10)
+        assert process.exitcode == -signal.SIGTERM
+
+
+def test_snakemake_leaves_no_copies_of_the_rules(tmp_path, monkeypatch):
+    def keeps(words: list[str]) -> None:
+        folder = Path(words[words.index("--runtime-source-cache-path") + 1])
+        (folder / "rule").write_text("x")
+
+    monkeypatch.setattr("snakemake.cli.main", keeps)
+    assert run_snakemake(tmp_path, "a", ["--config"]) == 0
+    assert not list((tmp_path / "results" / "a").glob(".sources-*"))

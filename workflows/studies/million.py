@@ -34,7 +34,7 @@ def main(
 ) -> None:
     """Make all tables of synthetic runs; print seconds, peak memory, and sizes.
 
-    The exit code is 1 if that takes more than `MOST_S` or `MOST_GB`.
+    The exit code is 1 if that takes more than `MOST_S` or `MOST_GB` with at most a million runs.
     """
     rows = synthetic.RUNS_PER_TRIAL * -(-rows // synthetic.RUNS_PER_TRIAL)
     table = study(out, rows, report=report)
@@ -47,7 +47,7 @@ def main(
         f"{rows:,} runs: {seconds:.1f} s, {peak_gb:.2f} GB "
         f"(for a million on two cores: at most {MOST_S:g} s, {MOST_GB:g} GB)"
     )
-    raise typer.Exit(int(seconds > MOST_S or peak_gb > MOST_GB))
+    raise typer.Exit(int(rows <= 1_000_000 and (seconds > MOST_S or peak_gb > MOST_GB)))
 
 
 def study(out: Path, rows: int, *, report: bool = False) -> pd.DataFrame:
