@@ -57,7 +57,7 @@ def _tables(page: Page) -> Iterator[tuple[str, pd.DataFrame]]:
     yield "claims", as_table(judgements)
     yield "comparisons", comparisons(judgements)
     del judgements, evidence
-    for model in dict.fromkeys(tables.runs["model"]):
+    for model in tables.runs["model"].unique():
         for name in ("separation", "effects"):
             if shown := getattr(measured, name)(page.measured, model):
                 yield f"{name}-{model}", _frame(shown)
@@ -86,7 +86,7 @@ def _flat(row: dict[str, Any]) -> dict[str, Any]:
 
 def _levels(tables: Tables) -> Iterator[pd.DataFrame]:
     """Yield what the figures of error and time against the level show."""
-    for model in dict.fromkeys(tables.runs["model"]):
+    for model in tables.runs["model"].unique():
         runs = levels.prepare(tables, model)
         for column in (*levels.available_errors(runs), "time_solve_s"):
             rows = runs if column in METRICS else runs.assign(row="")

@@ -11,7 +11,6 @@ from typing import Any
 
 from dcreg.files import plain
 from dcreg.plot import packing
-from reports.figures import printing
 from reports.figures.figure import Figure
 from reports.measured import Measured
 from reports.tables import Tables
@@ -74,6 +73,8 @@ class Page:
 
         There are no files for more than `MOST_PRINTED` methods, whose lines cannot be distinguished.
         """
+        from reports.figures import printing  # takes long to load
+
         assert figure.grid is not None
         if len(self.styles) > MOST_PRINTED:
             return []

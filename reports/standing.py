@@ -69,7 +69,7 @@ def matrices(tables: Tables) -> list[Matrix]:
 
 
 def _matrix(tables: Tables, model: str, runs: pd.DataFrame) -> Matrix:
-    tests = list(dict.fromkeys(runs["test"]))
+    tests = list(runs["test"].unique())
     # two lists of scans can have the same pair
     once = runs[~runs.duplicated(["method", "instance_digest"])]
     parts = {ALL: once} if len(tests) > 1 else {}

@@ -113,7 +113,7 @@ class Tables:
     @property
     def methods(self) -> list[str]:
         """Method labels in the order of the experiment's config."""
-        present = list(dict.fromkeys(self.runs["method"]))
+        present = list(self.runs["method"].unique())
         known = [label for label in self.cards if label in present]
         return known + [label for label in present if label not in known]
 

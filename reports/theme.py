@@ -35,6 +35,8 @@ OUTCOME_COLOR = {
 }
 FALLBACK_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#6a51a3")
 
+LIMITED, NO_POSE = "-open", "-open-dot"  # endings of plotly's symbols
+
 # matplotlib marker -> plotly symbol and its outline on the unit circle. Only filled shapes: open markers
 # mark runs at a limit. Variants of a method take the markers after that of its card, in this order.
 _MARKERS: dict[str, tuple[str, int, float, float]] = {

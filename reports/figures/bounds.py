@@ -41,8 +41,8 @@ def build(tables: Tables, styles: dict[str, Style]) -> Figure | None:
     )
     instances = [_instance(group, histories, styles) for _, group in groups]
     order = {
-        "model": list(dict.fromkeys(tables.runs["model"])),
-        "test": [words(test) for test in dict.fromkeys(tables.runs["test"])],
+        "model": list(tables.runs["model"].unique()),
+        "test": [words(test) for test in tables.runs["test"].unique()],
     }
     instances.sort(
         key=lambda item: (

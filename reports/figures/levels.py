@@ -11,9 +11,8 @@ import pandas as pd
 
 from reports.figures.figure import Figure
 from reports.figures.grid import Grid, Panel
-from reports.figures.printing import LIMITED, NO_POSE
 from reports.tables import Tables, level_titles, row_names
-from reports.theme import Style, number, seconds, words
+from reports.theme import LIMITED, NO_POSE, Style, number, seconds, words
 from workflows.metrics import METRICS
 from workflows.outcomes import attempted, comparable_times
 
@@ -45,7 +44,7 @@ def assemble(
     """Draw these runs: a column per test, a row per shape and one for the time."""
     x_titles = x_titles or level_titles(runs)
     errors = available_errors(runs)
-    rows = list(dict.fromkeys(runs["row"]))
+    rows = list(runs["row"].unique())
     floors = _floors(runs)
     times = _curves(runs.assign(row=""), "time_solve_s")
     views = {}
@@ -95,7 +94,7 @@ def _axes(
 ) -> tuple[Grid, dict[tuple[str, str], tuple[str, str]]]:
     """Return panels for every (test, row) with data; the row named "" is the time."""
     present = set(zip(runs["test"], runs["row"], strict=True))
-    tests = list(dict.fromkeys(runs["test"]))
+    tests = list(runs["test"].unique())
     grid, cells = Grid(column_titles=[words(test) for test in tests]), {}
     for column, test in enumerate(tests):
         levels = sorted(runs.loc[runs["test"] == test, "level"].unique())
@@ -194,7 +193,7 @@ def statistics(runs: pd.DataFrame, column: str) -> list[dict[str, Any]]:
         median_run=ordered.get((value.count() - 1) // 2, null_on_oob=True),
         worst_run=ordered.last(),
     )
-    return found.filter(pl.col("count") > 0).sort("level").collect().to_dicts()
+    return found.filter(pl.col("count") > 0).sort("level", *keys).collect().to_dicts()
 
 
 def _curve_traces(curve: _Curve, axes: tuple[str, str], style: Style) -> list[dict[str, Any]]:

@@ -21,10 +21,18 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from reports.figures.grid import Grid
-from reports.theme import DASHES, PART_COLORS, SOURCE_COLOR, SURFACE, TARGET_COLOR, Style
+from reports.theme import (
+    DASHES,
+    LIMITED,
+    NO_POSE,
+    PART_COLORS,
+    SOURCE_COLOR,
+    SURFACE,
+    TARGET_COLOR,
+    Style,
+)
 
 FLOOR_COLOR = "#666666"
-LIMITED, NO_POSE = "-open", "-open-dot"  # endings of plotly's symbols
 _LEGEND_COLUMNS = 3  # at least
 _LEGEND_ROW = 0.18  # inches
 _PHONE = 4.2  # inches: the width of a stacked drawing, whose text is legible on a phone

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+from pyarrow import compute
 
 from dcreg.names import POSE_SCOPES
 from reports.tables import Tables, check_study, is_refuted, started_in
@@ -133,6 +135,13 @@ class Experiment:
     def of_method(self, method: str) -> pd.DataFrame:
         """Return the runs of a method."""
         return self.runs.iloc[self._rows_of.get(method, [])]
+
+    def with_ids(self, run_ids: Iterable[str]) -> pd.DataFrame:
+        """Return the runs with these values of ``run_id``, in the order of the table."""
+        wanted = pa.array(list(run_ids), pa.string())
+        # the same as `isin`, which takes ten times as long for many values
+        found = compute.is_in(pa.array(self.runs["run_id"], pa.string()), value_set=wanted)
+        return self.runs[found.to_numpy(zero_copy_only=False)]
 
     @cached_property
     def first(self) -> pd.DataFrame:

@@ -262,8 +262,7 @@ def _counted(every: list[Row]) -> str:
 def _limits(experiment: Experiment, runs: dict[str, bool]) -> str:
     """Return how many of the deciding runs hit which limits; `runs` tells for each whether it did."""
     limited = sum(runs.values())
-    every = experiment.runs
-    late = every[every["run_id"].isin([run for run, is_late in runs.items() if is_late])]
+    late = experiment.with_ids(run for run, is_late in runs.items() if is_late)
     hit = late.drop_duplicates(["method", "status"])[["method", "status"]].itertuples(index=False)
     cards = experiment.tables.cards
     texts = dict.fromkeys(
@@ -302,8 +301,7 @@ def _tested(
     rivals = _listed(row.rival for row in every if row.rival)
     text = subjects + (f" against {rivals}" if rivals else "")
     if experiment is not None:
-        ids = {run for row in every for run in row.runs}
-        part = experiment.runs[experiment.runs["run_id"].isin(ids)]
+        part = experiment.with_ids({run for row in every for run in row.runs})
         sizes = part[["n_source", "n_target"]].to_numpy()
         shapes = part["shape"].unique()
         named = ", ".join(map(str, shapes)) if len(shapes) <= 4 else f"{len(shapes)} shapes"
@@ -363,6 +361,5 @@ def _data(findings: list[Finding], every: list[Row], experiment: Experiment | No
     if experiment is None:
         tables = [table for finding in findings for table in finding.rows]
         return pd.concat(tables).drop_duplicates() if tables else pd.DataFrame()
-    ids = {run for row in every for run in row.runs}
-    runs = experiment.runs
-    return runs.loc[runs["run_id"].isin(ids), [name for name in DATA if name in runs]]
+    runs = experiment.with_ids({run for row in every for run in row.runs})
+    return runs[[name for name in DATA if name in runs]]

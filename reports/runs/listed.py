@@ -60,7 +60,7 @@ def columns(runs: pd.DataFrame, methods: Sequence[str], chunk_of: pd.Series) -> 
     values: dict[str, list[Any]] = {"run": list(runs["run_id"])}
     known = {"method": methods, "answer": ANSWERS}
     for name in WORDS:
-        order = known.get(name) or list(dict.fromkeys(runs[name]))
+        order = known.get(name) or list(runs[name].unique())
         words[name] = list(order)
         values[name] = pd.Categorical(runs[name], categories=words[name]).codes.tolist()
     for name, column in NUMBERS.items():

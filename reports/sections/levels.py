@@ -20,7 +20,7 @@ def context(page: Page) -> dict[str, Any] | None:
     if is_own_data(page.tables):
         return None
     figures = []
-    for model in dict.fromkeys(page.tables.runs["model"]):
+    for model in page.tables.runs["model"].unique():
         runs = levels.prepare(page.tables, model)
         if runs["rmse"].isna().all():
             continue

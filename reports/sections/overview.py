@@ -20,7 +20,7 @@ POSITION = 30
 
 def context(page: Page) -> dict[str, Any]:
     counts = count_outcomes(page.tables.runs).loc[page.tables.methods]
-    models = list(dict.fromkeys(page.tables.runs["model"]))
+    models = list(page.tables.runs["model"].unique())
     is_idle = counts[list(STARTED)].sum(axis=1) == 0
     solved = attempted(page.tables.runs)["model"]
     return {
@@ -30,7 +30,7 @@ def context(page: Page) -> dict[str, Any]:
         "total": counts.sum(),
         "summary": summary(page.tables),
         "models": models,
-        "tests": list(dict.fromkeys(page.tables.runs["test"])),
+        "tests": list(page.tables.runs["test"].unique()),
         "target": success_rule(page.tables.runs),
         "profiles": [
             page.add_figure(profile.build(page.tables, page.styles, model))

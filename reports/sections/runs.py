@@ -33,10 +33,10 @@ def context(page: Page) -> dict[str, Any]:
         "count": len(runs),
         "total": len(tables.runs),
         "started": len(started),
-        "tests": list(dict.fromkeys(runs["test"])),
-        "statuses": list(dict.fromkeys(runs["status"])),
+        "tests": list(runs["test"].unique()),
+        "statuses": list(runs["status"].unique()),
         "answers": ANSWERS,
-        "models": list(dict.fromkeys(runs["model"])),
+        "models": list(runs["model"].unique()),
         "methods": page.styles,
         "wrong": {name: int(wrong[name]) for name in page.styles if name in wrong.index},
     }

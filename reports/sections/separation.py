@@ -17,7 +17,7 @@ def context(page: Page) -> dict[str, Any] | None:
     measured = page.measured
     models = [
         (words_of(model), shown, effects(measured, model))
-        for model in dict.fromkeys(measured.runs["model"])
+        for model in measured.runs["model"].unique()
         if (shown := separation(measured, model))
     ]
     return {"models": models} if models else None

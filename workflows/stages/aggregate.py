@@ -60,7 +60,7 @@ def aggregate(plan: Plan, folder: Path) -> None:
     runs = pd.read_parquet(out / "runs.parquet", columns=SHOWN)
     with sealed_file(out / "accounting.csv") as part:
         accounting(runs).to_csv(part, index=False)
-    _write_json(out / "provenance.json", _provenance(plan, runs))
+    _write_json(out / "provenance.json", _provenance(plan, runs), indent=1)
     _write_json(out / "overlays.json", overlays(plan, folder, runs))
     records.write(clouds(plan, folder), out / CLOUDS)
 
@@ -119,7 +119,7 @@ def write(table: pl.LazyFrame, path: Path) -> None:
     import polars as pl
 
     with sealed_file(path) as part:
-        table.sink_parquet(part)
+        table.sink_parquet(part, compression_level=1)  # a higher one saves little space
     copy, written = path.with_suffix(".csv"), pl.scan_parquet(path)
     if written.select(pl.len()).collect().item() > MOST_CSV_ROWS:
         copy.unlink(missing_ok=True)
@@ -308,6 +308,7 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def _write_json(path: Path, content: Any) -> None:
+def _write_json(path: Path, content: Any, indent: int | None = None) -> None:
+    """Write JSON; an indent takes several times as long."""
     with sealed_file(path) as part:
-        part.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        part.write_text(json.dumps(content, indent=indent), encoding="utf-8")
