@@ -213,7 +213,9 @@ def _facts(
 
 def _machines(tables: Sequence[Tables], out: Path) -> list[dict[str, Any]]:
     """Return the machines with their started runs; cards may be those of the archive that is replaced."""
-    stored = json.loads((out / FACTS).read_text("utf-8"))["machines"] if out.is_dir() else []
+    stored = (
+        json.loads((out / FACTS).read_text("utf-8"))["machines"] if (out / FACTS).is_file() else []
+    )
     records = sorted(HISTORY.glob("*/*/about.json"))
     cards = [
         *(card for card in stored if isinstance(card, dict)),  # earlier archives have names only

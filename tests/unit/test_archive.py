@@ -442,6 +442,23 @@ def test_evidence_of_one_experiment_keeps_the_times_of_others(results, tmp_path)
     assert stored == {"two.times.csv": "earlier", "one.times.csv": "b"}
 
 
+def test_an_archive_names_the_machines_of_its_runs(results, tmp_path):
+    own = _copy(results, tmp_path / "results")
+    path = own / "one" / "tables" / "runs.parquet"
+    runs = pd.read_parquet(path)
+    started = runs["outcome"].isin(STARTED)
+    runs["machine_id"] = "e5e579a0"  # of the recorded versions
+    runs.loc[runs.index[started][:2], "machine_id"] = "gone"
+    runs.to_parquet(path)
+    found = {
+        each["machine_id"]: each for each in writing._machines([Tables.load(path.parent)], own)
+    }
+    assert found["gone"]["cpu"] == "unknown processor"
+    assert found["gone"]["runs"] == 2
+    assert found["e5e579a0"]["cpu"] == "AMD EPYC"
+    assert sum(each["runs"] for each in found.values()) == started.sum()
+
+
 def test_forecast_and_actual_time_of_evidence_are_archived_and_shown(results, tmp_path):
     own = _copy(results, tmp_path / "results")
     (own / "evidence").mkdir()

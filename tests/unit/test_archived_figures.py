@@ -72,7 +72,7 @@ def test_the_hours_of_a_million_runs():
     own = costs[(costs["experiment"] == "findings") & (costs["model"] == "similarity2d")]
     hours = own.set_index("method")["hours"]
     text = text_of("clusters.md")
-    assert f"these are {hours['dcreg']:.0f} hours for `dcreg`" in text
+    assert f"it states {hours['dcreg']:.0f} hours for `dcreg`" in text
     assert f"at least {hours['dcreg-paper']:,.0f} for Algorithm 1" in text
     assert f"at least {hours['rpm_htb']:,.0f} for RPM-HTB" in text
 

@@ -34,6 +34,7 @@ from workflows.blocks import FORECASTS, Needs
 from workflows.compose import ConfigError
 from workflows.config import load
 from workflows.integrity import sealed
+from workflows.outcomes import STARTED
 from workflows.stages.plan import expand
 
 NAME = "paper2d-40"
@@ -657,3 +658,18 @@ def test_claims_about_other_experiments_name_their_command():
     assert set(needs["claim"]) == {claim.id for claim in ledger().claims if not claim.unjudged}
     by_claim = needs.set_index("claim")["obstacle"]
     assert by_claim["flat-7scenes"] == "outside these experiments: make threedmatch"
+
+
+def test_evidence_of_other_experiments_stays_in_the_tables(tmp_path):
+    """Their claims remain judged, and their runs have a step before those of new ones."""
+    others = run._others([NAME], tmp_path)
+    assert list(others) == ["paper3d-40"]
+    campaign = others["paper3d-40"]
+    started = list(run._started([campaign]))
+    assert len(started) == campaign.tables().runs["outcome"].isin(STARTED).sum() > 0
+    steps = tmp_path / "steps.csv"
+    growth.record(steps, ["new"])
+    growth.record_rest(steps, [*started, "new"])
+    growth.record_rest(steps, started)
+    assert pd.read_csv(steps).groupby("step").size().to_dict() == {0: 1, 1: len(started)}
+    assert run._others(["paper3d-40", NAME], tmp_path) == {}
