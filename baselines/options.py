@@ -16,6 +16,8 @@ def check_option(card: Card, option: str, value: Any) -> str | None:
     if value is None and (default is None or (admitted is not None and admitted.or_null)):
         return None
     example = 1.0 if default is None and admitted is not None else default
+    if example is None and isinstance(value, list | dict):
+        return f"option {option} = {value!r} is a {type(value).__name__}; give one value"
     if example is None or (value is None and isinstance(example, str)):
         return None  # checked by the method
     if not _is_like(value, example):

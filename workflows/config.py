@@ -23,7 +23,7 @@ from workflows.idle import idle_limits, idle_points, stops_at_assignments
 from workflows.parts import Part, part_of
 
 CONFIGS = CHECKOUT / "workflows" / "configs"
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$")]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*$", max_length=100)]
 Seconds = Annotated[float, Field(gt=0, le=1e7)]
 
 

@@ -363,7 +363,8 @@ def read_off(stream: BinaryIO, _: str | None) -> Points:
     rows = list(rows_of(lines_of(stream.read())))
     if not rows:
         fail("is empty", EXPORT)
-    line, (magic, *counts) = rows.pop(0)
+    line, fields = rows.pop(0)
+    magic, *counts = fields or [""]
     # letters before OFF announce colours, normals or texture, which follow the coordinates
     if not re.fullmatch(r"(ST)?C?N?OFF", magic):
         fail(f"line {line}: '{magic[:40]}' is not the start of a 3D OFF file", EXPORT)

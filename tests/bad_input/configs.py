@@ -50,6 +50,11 @@ CHANGES = {
     "no memory": ("memory_mb: 2048", "memory_mb: 0", "limits.memory_mb", "greater than"),
     "unknown limit": ("time_s: 1", "seconds: 1", "limits.seconds: unknown key", "known: "),
     "unknown method": ("baseline: icp", "baseline: icpp", "no method 'icpp'", "did you mean 'icp'"),
+    "name as long as a text": ("name: bad", "name: " + 300 * "a", "name", "at most 100"),
+    "list for a word": (
+        "baseline: icp", "baseline: dcreg, options: {mode: [full]}",
+        "option mode = ['full'] is a list", "give one value",
+    ),
     "name of a method": ("name: icp", "name: 'a b'", "methods[0].name", "'a b'"),
     "unknown option": ("baseline: icp", "baseline: icp, options: {x: 1}", "options.x", "known: "),
     "unknown limit of a method": ("baseline: icp", "baseline: icp, limits: {x: 1}", "methods[0]",

@@ -134,6 +134,7 @@ PCD_CHANGES = {
 
 OFF = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
 OFF_CHANGES = {
+    "no word": (b"OFF\n", b";\n", "line 1: ''", "export the file again"),
     "no magic": (b"OFF", b"FOO", "line 1: 'FOO'", "export the file again"),
     "no counts": (b"3 1 0\n", b"x 1 0\n", "line 2 states no number of vertices", "export the file"),
     "negative count": (b"3 1 0\n", b"-3 1 0\n", "states no number of vertices", "export the file"),

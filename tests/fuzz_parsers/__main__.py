@@ -89,6 +89,8 @@ class Campaign:
             self.faults.setdefault(f"{outcome} {place}", (number, details))
 
     def _cases(self, far_end, end: float) -> None:
+        # Loads what the parser imports: here, as a process that is forked from one with threads can hang.
+        fault_of(self.parser, self.number.value)
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + EXTRA_MEMORY,) * 2)
         faulthandler.enable()
@@ -110,7 +112,6 @@ def main(
         if only is not None:
             print(name, *fault_of(known[name], only), sep="\n")
             continue
-        fault_of(known[name], first)  # loads what the parser imports, before it is forked
         campaign = Campaign(known[name], first)
         campaign.run(60 * minutes)
         for number, details in campaign.faults.values():
