@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
@@ -150,16 +150,15 @@ def run_snakemake(
         view = view_of() if view_of else None
         pipe = os.pipe() if view and view.is_live else None
         words += [f"errors={errors.name}", "--runtime-source-cache-path", sources]
-        signal.signal(
-            signal.SIGCHLD, signal.SIG_DFL
-        )  # otherwise the end of a child may not be seen
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # or the end of a child may not be seen
         process = _context.Process(target=_snakemake, args=(words, plan, pipe))
-        before = {number: signal.getsignal(number) for number in ENDING}
-        process.start()
-        pid = process.pid or 0
-        try:
+        with _held_back(ENDING):  # until both processes have their handlers
+            before = {number: signal.getsignal(number) for number in ENDING}
+            process.start()
+            pid = process.pid or 0
             for number in ENDING:
                 signal.signal(number, interrupt)
+        try:
             with suppress(OSError):  # the process does the same
                 os.setpgid(pid, pid)
             _write(lock, f"process {os.getpid()} (its Snakemake is process {pid})")
@@ -186,13 +185,28 @@ def run_snakemake(
     return process.exitcode or 0 if deadline == float("inf") else INTERRUPTED
 
 
+@contextmanager
+def _held_back(signals: Iterable[signal.Signals]) -> Iterator[None]:
+    """A context in which these signals wait, also for a process that is forked in it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _snakemake(words: Sequence[str], plan: Plan | None, pipe: tuple[int, int] | None) -> None:
     """Run Snakemake as the only purpose of this process, with its messages to a pipe, if there is one.
 
-    It does not use the streams of the parent process, nor its server of stages.
+    It does not use the handlers of signals, the streams and the server of stages of the parent process.
     """
     gc.freeze()  # what it shares with the parent process is not copied
     os.setpgid(0, 0)
+    for number in ENDING:
+        if callable(signal.getsignal(number)):
+            usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+            signal.signal(number, usual)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     if pipe:
         reader, writer = pipe
