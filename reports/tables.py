@@ -63,7 +63,7 @@ class Tables:
         tables = cls(
             directory=directory,
             runs=_read_runs(directory / "runs.parquet"),
-            accounting=pd.read_csv(path, keep_default_na=False),
+            accounting=pd.read_csv(path, keep_default_na=False, dtype={"method": str}),
             provenance=_read_json(directory / "provenance.json", {}),
             overlays=_read_json(directory / "overlays.json", []),
         )

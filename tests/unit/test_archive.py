@@ -473,3 +473,16 @@ def test_forecast_and_actual_time_of_evidence_are_archived_and_shown(results, tm
     assert pages._forecasts(tmp_path / "out" / "evidence" / FORECASTS) == [
         {"experiment": "one", "forecast_s": 1.5, "actual_s": 0.75, "steps": 2}
     ]
+
+
+def test_a_method_may_be_named_by_a_number(tmp_path):
+    folder = write_tables(tmp_path / "tables", "one")
+    runs = pd.read_parquet(folder / "runs.parquet")
+    number = {str(runs["method"].iloc[0]): "7"}
+    runs.assign(method=runs["method"].replace(number)).to_parquet(folder / "runs.parquet")
+    counts = pd.read_csv(folder / "accounting.csv")
+    counts = counts[counts["method"].isin(number)].assign(method="7")
+    counts.to_csv(folder / "accounting.csv", index=False)
+    runs = pd.read_parquet(folder / "runs.parquet")
+    runs[runs["method"] == "7"].to_parquet(folder / "runs.parquet")
+    assert list(Tables.load(folder).accounting["method"]) == ["7"]
