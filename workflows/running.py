@@ -210,9 +210,8 @@ def _snakemake(words: Sequence[str], plan: Plan | None, pipe: tuple[int, int] | 
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     if pipe:
         reader, writer = pipe
-        os.close(
-            reader
-        )  # otherwise writing would block, not fail, once the parent process has died
+        # Otherwise writing would block, not fail, once the parent process has died.
+        os.close(reader)
         os.dup2(writer, 1)
         os.dup2(writer, 2)
         os.close(writer)

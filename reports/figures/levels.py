@@ -193,7 +193,12 @@ def statistics(runs: pd.DataFrame, column: str) -> list[dict[str, Any]]:
         median_run=ordered.get((value.count() - 1) // 2, null_on_oob=True),
         worst_run=ordered.last(),
     )
-    return found.filter(pl.col("count") > 0).sort("level", *keys).collect().to_dicts()
+    return (
+        found.filter(pl.col("count") > 0)
+        .sort("level", "test", "row", "method")
+        .collect()
+        .to_dicts()
+    )
 
 
 def _curve_traces(curve: _Curve, axes: tuple[str, str], style: Style) -> list[dict[str, Any]]:

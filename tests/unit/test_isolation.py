@@ -90,3 +90,12 @@ def test_links_do_not_uncover_what_is_hidden(tmp_path):
     assert tmp_path / "open" in allowed
     assert not {tmp_path / "link", tmp_path / "place", tmp_path, Path("/")} & allowed
     assert not [path for path in allowed if path.is_relative_to(hidden)]
+
+
+def test_copies_of_public_data_are_hidden(tmp_path, monkeypatch):
+    """Recorded datasets contain their poses."""
+    monkeypatch.setenv("DCREG_DATA_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("DCREG_DATA_MIRROR", str(tmp_path / "mirror"))
+    assert {tmp_path / "cache", tmp_path / "mirror"} <= set(isolation.hidden_folders())
+    monkeypatch.setenv("DCREG_DATA_MIRROR", "https://example.org/data")
+    assert not [path for path in isolation.hidden_folders() if "example.org" in str(path)]

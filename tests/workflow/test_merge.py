@@ -294,3 +294,13 @@ def test_a_merged_folder_repeats_no_run(tmp_path):
     made = [path for path in whole.glob("runs/*/*.journal.jsonl") if path.name != JOURNAL]
     assert made
     assert not any(path.read_text() for path in made)
+
+
+def test_machines_that_round_differently_do_not_contradict(tmp_path):
+    a = results(tmp_path / "a", run(1))
+    b = results(tmp_path / "b", run(1, machine_id="m2", upper_bound=1.001))
+    (found,) = merge([a, b], tmp_path / "out", mixed_machines=True)
+    assert (found.runs, found.duplicates) == (1, 1)
+    c = results(tmp_path / "c", run(1, machine_id="m2", upper_bound=0.9))  # below the lower bound
+    with pytest.raises(MergeError, match="lower_bound against upper_bound"):
+        merge([a, c], tmp_path / "out2", mixed_machines=True)
