@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from workflows.stages.plan import Plan
 
+PRELOADED = ["workflows.preload"]  # by the server
 _context = multiprocessing.get_context("forkserver")
-_context.set_forkserver_preload(["workflows.preload"])
+_context.set_forkserver_preload(PRELOADED)
 # `start` and `join` read the exit codes of all stages, and an exit code can be read only once.
 _lock = threading.Lock()
 
@@ -30,6 +31,7 @@ def forget_server() -> None:
     """Let a forked process start its own server: it cannot use that of its parent."""
     forkserver: Any = multiprocessing.forkserver
     forkserver._forkserver.__init__()
+    _context.set_forkserver_preload(PRELOADED)
 
 
 def run_stage(program: str, *arguments: str, plan: Plan | None = None) -> None:

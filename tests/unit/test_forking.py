@@ -55,3 +55,40 @@ def test_a_stage_does_not_read_the_config_again(tmp_path):
     )
     table = records.read(tmp_path / "plan.parquet", records.PLAN)
     assert set(table["run_id"]) == {run.run_id for run in plan.runs()}
+
+
+FORKED = """
+import multiprocessing, os
+from workflows import forking
+
+forking.run_stage("stage", str(os.getpid()))  # starts the server of this process
+
+def run():
+    forking.forget_server()
+    forking.run_stage("stage", str(os.getpid()))
+
+process = multiprocessing.get_context("fork").Process(target=run)
+process.start()
+process.join()
+raise SystemExit(process.exitcode)
+"""
+LOADED = """
+import os, sys
+import psutil
+
+def app(arguments):
+    owner = psutil.Process(os.getppid()).ppid()  # of the server
+    sys.exit("workflows.preload" not in sys.modules or owner != int(arguments[0]))
+"""
+
+
+def test_a_forked_process_has_a_server_of_its_own_with_all_imports(tmp_path):
+    stage = tmp_path / "stage" / "__main__.py"
+    stage.parent.mkdir()
+    stage.write_text(LOADED)
+    path = os.pathsep.join([str(Path(__file__).parents[2]), str(tmp_path)])
+    done = subprocess.run(
+        [sys.executable, "-c", FORKED], env=os.environ | {"PYTHONPATH": path},
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
