@@ -5,6 +5,7 @@ import tests.offline  # noqa: F401  # isort: skip
 
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +28,10 @@ LONGEST = (
     "workflow/test_profiles.py", "workflow/test_faults.py", "properties/test_cover.py",
     "properties/test_nearest_cover.py", "questions/test_questions.py", "unit/test_claims.py",
     "workflow/test_merge.py", "golden/test_goicp_baseline.py", "bench/test_compile_counters.py",
-    "bad_input/test_bad_input.py",
+    "bad_input/test_bad_input.py", "fuzz/test_fuzz.py",
 )  # fmt: skip
 # Files whose tests share nothing that is expensive to make: any worker may take a part of them.
-SPREAD = ("unit/test_compiling.py", "fuzz/test_fuzz.py")
+SPREAD = ("unit/test_compiling.py",)
 # A file shares the worker of another one whose fixtures it uses.
 WITH = dict.fromkeys(
     (
@@ -75,6 +76,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     first = (*LONGEST, *SPREAD)
     order = {file: place for place, file in enumerate(first)}
     items.sort(key=lambda item: order.get(item.path.relative_to(HERE).as_posix(), len(first)))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_compilation(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Compile as searches and warm-ups do, also what tests call without them."""
+    if request.path.name == "test_compiling.py":  # about that itself
+        yield
+        return
+    from dcreg.jit.lean import lean_numba
+
+    with lean_numba():
+        yield
 
 
 @pytest.fixture

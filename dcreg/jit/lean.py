@@ -15,6 +15,8 @@ from numba.core.inline_closurecall import InlineWorker
 from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.targetconfig import ConfigStack, TargetConfig
 from numba.core.types.functions import Function
+from numba.extending import overload
+from numba.np import arrayobj
 
 _VARIABLE: Any = ir.Var
 _ERRORS: Any = errors
@@ -75,9 +77,20 @@ def _changes() -> Iterator[tuple[Any, str, Any]]:
     yield InlineWorker, "inline_function", _without_copies(InlineWorker.inline_function)
     # type errors name their line without it, other errors only that in the function called
     yield typeinfer, "new_error_context", _no_context
+    # Numba's own formats both shapes, which takes seconds to compile
+    yield arrayobj, "raise_with_shape_context", _refuse_shapes
     # warnings name the line of Numba that issues them, not that of the kernel
     yield _ERRORS.WarningsFixer, "catch_warnings", _no_context
     yield ssa, "_logger", types.SimpleNamespace(debug=lambda *_: None)
+
+
+def _refuse_shapes(given: Any, expected: Any) -> Any:
+    raise ValueError("cannot assign an array of this shape: it differs from that of the slice")
+
+
+@overload(_refuse_shapes)
+def _compiled_refusal(given: Any, expected: Any) -> Any:
+    return _refuse_shapes
 
 
 @functools.cache

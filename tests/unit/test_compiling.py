@@ -308,6 +308,19 @@ def test_numba_is_as_before_after_contexts_that_overlap():
     assert all(getattr(owner, name) is usual for owner, name, usual in before)
 
 
+def test_an_array_of_another_shape_is_refused_without_text_made_in_the_kernel():
+    @nb.njit
+    def assign(to, given):
+        to[:] = given
+
+    with lean.lean_numba():
+        to = np.zeros(3)
+        assign(to, np.arange(3.0))
+    assert to.tolist() == [0.0, 1.0, 2.0]
+    with pytest.raises(ValueError, match="differs from that of the slice"):
+        assign(to, np.zeros(2))
+
+
 @pytest.mark.parametrize("strict_first", [True, False])
 def test_a_strict_kernel_does_not_take_the_maximum_of_a_reduction(strict_first):
     """A reduction may assume finite numbers."""

@@ -61,7 +61,8 @@ class Server:
     def warm_up(self, instance: Instance, memory_mb: int) -> dict[str, Any]:
         """Compile and import what instances of this kind need, outside of the timed runs."""
         if self.method.supports(instance) is None:
-            self.method.warm_up(instance)
+            with _compiling_soon():
+                self.method.warm_up(instance)
         _cap_threads(self.threads)  # also for libraries that the warm-up loaded
         _cap_memory(memory_mb)
         return {}
@@ -180,6 +181,12 @@ def _in_time(answer: dict[str, Any], time_s: float, limit_s: float) -> dict[str,
     message = f"returned after {time_s:.3g} s; the limit is {limit_s:g} s"
     both = "; ".join(filter(None, (answer["message"], message)))
     return {**answer, "status": Status.TIME_LIMIT, "message": both}
+
+
+def _compiling_soon() -> AbstractContextManager[None]:
+    """Return a context in which kernels are compiled in less time; without kernels, it does nothing."""
+    jit = sys.modules.get("dcreg.jit")
+    return jit.when_compiling(lambda: None) if jit else nullcontext()
 
 
 def _when_compiling(notify: Callable[[], None]) -> AbstractContextManager[None]:
