@@ -33,6 +33,7 @@ FEWER_POINTS = "searches of fewer points than in the whole experiment take less 
 # Quantity -> the least that it can be (`Experiment.runs`), and whether a limit cut it.
 LEAST = {"time": "translation_time"}
 CUT = {"translation_time": "translation_limited", "translation_nodes": "translation_limited"}
+OF_FINDING = ["run_id", "method", "test", "level", "limited"]
 OF_RIVAL = ("limited", "gap_tol", "translation_limited", "translation_time", "parallel_jobs")
 TIMES = ("time", "translation_time")
 # Runs of one machine were made on different days, and the same work took up to this factor longer.
@@ -340,8 +341,7 @@ def groups(table: pd.DataFrame, p: Parameters) -> Iterator[tuple[tuple[str, str]
         if len(table):
             yield ("all", ""), table
         return
-    for _, part in table.groupby(by, sort=False):
-        first, *rest = part.iloc[0][by]
+    for (first, *rest), part in table.groupby(by, sort=False):
         names = [f"{by[at + 1]} {value:g}" if isinstance(value, float) else words(str(value))
                  for at, value in enumerate(rest)]  # fmt: skip
         yield (words(str(first)), ", ".join(names)), part
@@ -364,8 +364,8 @@ def paired(one: pd.DataFrame, other: pd.DataFrame, *quantities: str) -> pd.DataF
 
 
 def of_rival(both: pd.DataFrame, theirs: pd.DataFrame) -> pd.DataFrame:
-    """Return the rival's runs of a table that `paired` made with them."""
-    return theirs.iloc[np.sort(both["place"].to_numpy())]
+    """Return the rival's runs of a table that `paired` made with them, in the columns of findings."""
+    return theirs[OF_FINDING].iloc[np.sort(both["place"].to_numpy())]
 
 
 def limits(quantity: str, table: pd.DataFrame) -> dict[str, bool]:
