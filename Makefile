@@ -74,8 +74,12 @@ findings: setup
 
 ## evidence: spend HOURS=2 on the runs that decide claims soonest; the same command continues (EXPERIMENTS=paper2d-40,paper3d-40)
 .PHONY: evidence
-evidence: setup
+evidence: $(if $(strip $(PART)),no-part) setup
 	@$(BIN)/python -m reports evidence --cores $(CORES) $(if $(HOURS),--hours $(HOURS)) $(if $(EXPERIMENTS),--experiments $(EXPERIMENTS))
+
+.PHONY: no-part
+no-part:
+	@echo "make evidence chooses methods, datasets and tests itself; choose EXPERIMENTS instead" >&2; exit 2
 
 ## archive: write all results to reports/archive/VERSION (default: the version of dcreg; REPLACE=1: even if fewer runs)
 .PHONY: archive

@@ -90,7 +90,7 @@ def check(folder: Path) -> None:
     """
     try:
         crate = ROCrate(folder)
-    except (ValueError, KeyError, OSError) as error:
+    except (ValueError, KeyError, OSError, TypeError, AttributeError) as error:
         raise ReportError(f"{folder / METADATA}: not valid: {error}") from error
     described = {entity.id for entity in crate.data_entities}
     present = set(_described(folder))

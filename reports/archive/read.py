@@ -59,6 +59,8 @@ def folder_of(archive: str, cache: Path, sha256: str = "") -> Path:
     if path is None:
         known = ", ".join(versions()) or "none"
         raise ReportError(f"{archive}: no such archive; stored versions: {known}")
+    if sha256 and path.is_dir():
+        raise ReportError(f"{archive}: a SHA-256 is that of a zip file, and this is a folder")
     if path.is_file():
         if sha256 and digest(path) != sha256:
             raise ReportError(f"{path}: SHA-256 is {digest(path)}, not {sha256}; get it again")

@@ -216,6 +216,16 @@ def test_a_damaged_or_missing_file_is_refused(archive, tmp_path, name):
         read.folder_of(str(own), tmp_path)
 
 
+def test_a_file_without_a_checksum_is_refused(archive, tmp_path):
+    own = _copy(archive, tmp_path / "own")
+    (own / ".DS_Store").touch()
+    assert read.folder_of(str(own), tmp_path) == own
+    (own / "evidence").mkdir(exist_ok=True)
+    (own / "evidence" / "verdicts.csv").write_text("claim\n")
+    with pytest.raises(ArchiveError, match=r"verdicts\.csv: not listed in checksums\.sha256"):
+        read.folder_of(str(own), tmp_path)
+
+
 def test_another_schema_is_refused(archive, tmp_path, monkeypatch):
     monkeypatch.setattr(records, "SCHEMA_VERSION", records.SCHEMA_VERSION + 1)
     with pytest.raises(records.SchemaError, match="read it with the checkout that wrote it"):
@@ -235,6 +245,8 @@ def test_a_zip_file_is_read_if_its_checksum_is_right(archive, tmp_path):
     assert read.facts(folder)["version"] == "1.0"
     with pytest.raises(ReportError, match=r"results\.zip: SHA-256 is"):
         read.folder_of(str(packed), tmp_path / "cache", "0" * 64)
+    with pytest.raises(ReportError, match="that of a zip file, and this is a folder"):
+        read.folder_of(str(folder), tmp_path / "cache", digest(packed))
 
 
 @pytest.mark.parametrize("name", ["../out.txt", "/out.txt", "a/../../out.txt", "..\\out.txt"])

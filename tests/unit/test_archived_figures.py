@@ -98,8 +98,11 @@ def test_archived_verdicts_are_those_of_the_archived_runs(archive, tmp_path):
 def test_an_archived_run_is_the_same_when_it_is_repeated(runs):
     own = runs[(runs["method"] == "frs") & (runs["test"] == "deformation")]
     quickest = own.sort_values("time_solve_s").iloc[0]
-    found = replay(quickest["run_id"])["stored"]
-    assert found == SAME or found.endswith(ROUNDING)
+    repeated = replay(quickest["run_id"])
+    assert repeated["stored"] == SAME or repeated["stored"].endswith(ROUNDING)
+    assert repeated["status"] == quickest["status"]
+    pose = json.loads(quickest["T_target_source"])
+    np.testing.assert_allclose(repeated["T_target_source"], pose, atol=1e-4)
 
 
 def test_forecasts_were_within_their_factor(archive):

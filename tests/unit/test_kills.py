@@ -56,6 +56,18 @@ def test_a_run_is_tried_again_once(job):
     assert [path.name for path in runs.parent.glob("*.json")] == []
 
 
+def test_every_finished_run_is_on_the_disk_before_the_next_one(job, monkeypatch):
+    run, instances, runs = job
+    lines = []
+    journal = runs.with_suffix(".journal.jsonl")
+    monkeypatch.setattr(
+        "workflows.stages.solve.os.fsync",
+        lambda _: lines.append(journal.read_text().count("\n")),
+    )
+    run()
+    assert lines == list(range(1, len(instances) + 1))
+
+
 def test_a_run_that_was_killed_twice_has_failed_with_its_reason(job):
     run, (first, second), runs = job
     kill(runs, first)

@@ -117,6 +117,14 @@ def test_make_passes_the_selection_on(target):
     assert ("--dry-run" in command) == (target == "plan")
 
 
+def test_make_refuses_a_selection_that_evidence_would_ignore():
+    words = ["make", "--no-print-directory", "evidence", "METHODS=icp"]
+    done = subprocess.run(words, cwd=CHECKOUT, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "choose EXPERIMENTS instead" in done.stderr
+    assert not done.stdout  # nothing was set up
+
+
 def test_a_part_has_a_folder_of_its_own():
     def view(*texts: str) -> str:
         return str(expand(experiment(), parse_selection(texts)).view)
