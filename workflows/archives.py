@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 ARCHIVES = CHECKOUT / "reports" / "archive"
 CHECKSUMS, RUNS, TRACES = "checksums.sha256", "runs.parquet", "traces.parquet"
+PROVENANCE = "provenance.json"  # of an experiment or a study
 FACTS = "archive.json"
 
 

@@ -9,6 +9,7 @@
 ``experiments/NAME/clouds.parquet``    thinned clouds of its instances, as far as they fit
 ``experiments/NAME/needs.json``        blocks of collected evidence, from which a campaign continues
 ``bounds/NAME.parquet``                tables of the study of bounds
+``bounds/provenance.json``             its machine, commit, and versions
 ``ro-crate-metadata.json``             the same facts for machines (RO-Crate)
 ``checksums.sha256``                   of every other file, for ``sha256sum --check``
 ====================================== =======================================================

@@ -27,7 +27,7 @@ MEANINGS = {
     "archive.json": "Version, schema, lock file and experiments of this archive",
     "runs.parquet": "One row per planned run, started or not; workflows/records.py documents the columns",
     "traces.parquet": "Bound histories of the runs, thinned",
-    "provenance.json": "Config, methods, options, machine and versions of an experiment",
+    "provenance.json": "Machine, code and versions of an experiment, with its config, or of a study",
     "needs.json": "Numbers of trials that were run, per test and method",
     "overlays.json.gz": "Points and poses of the best, median and worst runs",
     "clouds.parquet": "Clouds of the instances of an experiment, rounded and thinned",

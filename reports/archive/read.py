@@ -18,6 +18,7 @@ from workflows import records
 from workflows.archives import (
     ARCHIVES,
     CHECKSUMS,
+    PROVENANCE,
     RUNS,
     TRACES,
     check,
@@ -103,6 +104,8 @@ def restore(folder: Path, out: Path, only: str = "") -> list[Path]:
         for path in sorted(folder.glob("bounds/*.parquet")):
             (out / "bounds").mkdir(parents=True, exist_ok=True)
             pd.read_parquet(path).to_csv(out / "bounds" / f"{path.stem}.csv", index=False)
+        if (path := folder / "bounds" / PROVENANCE).is_file():
+            shutil.copyfile(path, out / "bounds" / PROVENANCE)
         for path in sorted(folder.glob(f"{EVIDENCE}/*.csv")):
             (out / EVIDENCE).mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, out / EVIDENCE / path.name)
@@ -116,7 +119,7 @@ def _restore_one(stored: Path, runs: pd.DataFrame, events: pd.DataFrame, tables:
     records.write(records.conform(events, records.TRACES, "traces"), tables / "traces.parquet")
     with sealed_file(tables / "accounting.csv") as part:
         accounting(runs).to_csv(part, index=False)
-    _copied(stored / "provenance.json", tables / "provenance.json")
+    _copied(stored / PROVENANCE, tables / PROVENANCE)
     overlays = gzip.decompress((stored / "overlays.json.gz").read_bytes())
     with sealed_file(tables / "overlays.json") as part:
         part.write_bytes(overlays)

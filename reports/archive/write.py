@@ -23,7 +23,7 @@ from reports.archive.sources import public, write_readme, write_sources
 from reports.ledger.evidence import STUDY
 from reports.tables import ReportError, Tables, started_in, thinned
 from workflows import HISTORY, provenance, records
-from workflows.archives import CHECKSUMS, FACTS, RUNS, TRACES, check
+from workflows.archives import CHECKSUMS, FACTS, PROVENANCE, RUNS, TRACES, check
 from workflows.blocks import EVIDENCE, NEEDS
 from workflows.integrity import digest
 from workflows.outcomes import STARTED
@@ -172,9 +172,7 @@ def _write_tables(tables: Sequence[Tables], out: Path) -> None:
     for each in tables:
         folder = out / "experiments" / each.experiment
         folder.mkdir(parents=True)
-        (folder / "provenance.json").write_text(
-            json.dumps(each.provenance, indent=1), encoding="utf-8"
-        )
+        (folder / PROVENANCE).write_text(json.dumps(each.provenance, indent=1), encoding="utf-8")
         packed = gzip.compress(json.dumps(each.overlays).encode(), mtime=0)
         (folder / "overlays.json.gz").write_bytes(packed)
 
@@ -183,6 +181,8 @@ def _write_study(place: Path, out: Path) -> None:
     for path in sorted(place.glob("*.csv")):
         out.mkdir(exist_ok=True)
         _store(pd.read_csv(path), out / f"{path.stem}.parquet")
+    if (path := place / PROVENANCE).is_file():
+        shutil.copyfile(path, out / PROVENANCE)
 
 
 def _store(table: pd.DataFrame, path: Path) -> None:

@@ -18,12 +18,13 @@ from reports.archive import crate, pages, read
 from reports.archive import write as writing
 from reports.runs import clouds as drawn_clouds
 from reports.tables import STORED_EVENTS, ReportError, Tables, thinned
-from workflows import records
+from workflows import provenance, records
 from workflows.archives import ArchiveError, archived
 from workflows.blocks import FORECASTS, NEEDS
 from workflows.integrity import digest, set_aside_damaged
 from workflows.outcomes import STARTED
 from workflows.stages.clouds import CLOUDS
+from workflows.studies.bounds import provenance_of
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +36,7 @@ def results(tmp_path_factory) -> Path:
     pd.DataFrame({"bound": ["dc", "tight"], "value": [0.5, 0.75]}).to_csv(
         root / "bounds" / "boxes.csv", index=False
     )
+    (root / "bounds" / "provenance.json").write_text(json.dumps(provenance_of(6.0)))
     return root
 
 
@@ -56,6 +58,10 @@ def test_restored_tables_are_those_of_the_results(results, archive, tmp_path):
     assert set_aside_damaged(tmp_path) == []
     study = pd.read_csv(tmp_path / "bounds" / "boxes.csv")
     assert_frame_equal(study, pd.read_csv(results / "bounds" / "boxes.csv"))
+    known = json.loads((tmp_path / "bounds" / "provenance.json").read_text())
+    assert known["machine"] == provenance.machine_card()
+    assert known["git"]["commit"] == provenance.git_state()["commit"]
+    assert known["time_s"] == 6.0
 
 
 def test_a_new_archive_keeps_experiments_without_new_results(results, tmp_path):

@@ -13,6 +13,7 @@ without a change here. The study writes to OUT:
 - ``searches.csv``: gap against nodes and assignments, for the first trials of each case. There is one
   search per bound and combination of bounds of the library, and one per bound of a method that has
   several.
+- ``provenance.json``: machine, commit and packages.
 
 Coordinates are normalised: centred, with a target of RMS radius 1. In 3D the parameter is the translation
 and the objective is that of point norms.
@@ -20,13 +21,14 @@ and the objective is that of point norms.
 
 from __future__ import annotations
 
+import json
 import time
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -43,7 +45,11 @@ from dcreg.families.registry import make_bound
 from dcreg.names import BOUND_NAMES, DEFAULT_REL_GAP
 from dcreg.problem import Frame, Problem
 from dcreg.search import Box, Budget, Outcome, Tolerance, minimise
+from workflows import provenance
+from workflows.archives import PROVENANCE
 from workflows.disturb import make_instance
+from workflows.integrity import digest
+from workflows.stages.aggregate import LOCK
 from workflows.studies import N_FITTED, REFERENCE, SHOWING
 
 WIDTHS = np.geomspace(2.0, 0.0002, 13)  # of the whole box, in RMS radii of the target
@@ -285,6 +291,19 @@ def run(out: Path, time_s: float) -> None:
     losses.to_csv(out / "losses.csv", index=False)
     orders_table(losses).to_csv(out / "orders.csv", index=False)
     pd.concat(searches).to_csv(out / "searches.csv", index=False)
+    (out / PROVENANCE).write_text(json.dumps(provenance_of(time_s), indent=1) + "\n")
+
+
+def provenance_of(time_s: float) -> dict[str, Any]:
+    """Return what the tables depend on: machine, code, packages, and the seconds per search."""
+    return {
+        "time_s": time_s,
+        "created": provenance.now(),
+        "machine": provenance.machine_card(),
+        "git": provenance.git_state(),
+        "versions": provenance.versions(),
+        "lock_sha256": digest(LOCK) if LOCK.is_file() else "",
+    }
 
 
 def main(
