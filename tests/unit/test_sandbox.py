@@ -89,7 +89,12 @@ def test_a_search_reports_what_it_has_proven_at_most_once_a_second(faulty, monke
 
 @pytest.mark.parametrize(
     ("fault", "mark"),
-    [("crashes_once", "crashed"), ("stops_once", "stopped"), ("exhausts_once", "exhausted")],
+    [
+        ("crashes_once", "crashed"),
+        ("stops_once", "stopped"),
+        ("exhausts_once", "exhausted"),
+        ("waits_once", "waited"),
+    ],
 )
 def test_a_run_whose_worker_dies_is_suspended_or_gets_no_memory_is_tried_again(
     tmp_path, monkeypatch, fault, mark

@@ -68,6 +68,7 @@ class Worker:
         watch: Callable[[float | None], None] = lambda proven: None,
     ) -> None:
         self.memory_mb, self.watch = memory_mb, watch
+        self._log, self._logged_before = log, 0  # the log, and its size before the last request
         self.compiled = False  # whether code was compiled within the last request
         self._alive = True
         self._family: list[psutil.Process] = []
@@ -108,6 +109,7 @@ class Worker:
         WorkerDiedError
         """
         self.compiled = False
+        self._logged_before = self._log.stat().st_size
         try:
             self.connection.send((command, arguments))
             answer = self._received(timeout_s, limit)
@@ -136,10 +138,12 @@ class Worker:
                     f"killed at {used_mb:.0f} MB; the limit is {self.memory_mb} MB"
                 )
             if time.monotonic() >= deadline:
-                was_stopped = self._is_stopped()
+                was_stopped, lacked_memory = self._is_stopped(), self._lacked_memory()
                 self.kill()
                 if was_stopped:
                     raise WorkerDiedError("worker was stopped from outside")
+                if lacked_memory:
+                    raise WorkerDiedError("worker got no memory and waited for ever")
                 raise WorkerLostError(f"killed after {timeout_s:.1f} s without an answer; {limit}")
             self.watch(None)
         return self.connection.recv()
@@ -174,6 +178,12 @@ class Worker:
             with suppress(psutil.Error):
                 total += process.memory_info().rss
         return total / MB
+
+    def _lacked_memory(self) -> bool:
+        """Whether the log of this request has an error of memory, as of a thread that could not start."""
+        with self._log.open("rb") as stream:
+            stream.seek(self._logged_before)
+            return b"MemoryError" in stream.read()
 
     def _is_stopped(self) -> bool:
         """Tell whether a signal such as SIGSTOP has suspended the worker."""

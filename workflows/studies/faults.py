@@ -130,15 +130,25 @@ class Sweep:
 
 def kill_worker(sweep: Sweep) -> bool:
     """As the kernel does if memory runs out."""
-    return _signal_worker(sweep, signal.SIGKILL)
+    return _disturb_worker(sweep, lambda worker: worker.send_signal(signal.SIGKILL))
 
 
 def hang_worker(sweep: Sweep) -> bool:
-    return _signal_worker(sweep, signal.SIGSTOP)
+    return _disturb_worker(sweep, lambda worker: worker.send_signal(signal.SIGSTOP))
 
 
 def crash_worker(sweep: Sweep) -> bool:
-    return _signal_worker(sweep, signal.SIGSEGV)
+    return _disturb_worker(sweep, lambda worker: worker.send_signal(signal.SIGSEGV))
+
+
+def exhaust_memory(sweep: Sweep) -> bool:
+    """The worker gets no more memory."""
+
+    def refuse(worker: psutil.Process) -> None:
+        _, most = worker.rlimit(psutil.RLIMIT_AS)
+        worker.rlimit(psutil.RLIMIT_AS, (1, most))
+
+    return _disturb_worker(sweep, refuse)
 
 
 def kill_snakemake(sweep: Sweep) -> bool:
@@ -240,18 +250,19 @@ def set_clock_back(sweep: Sweep) -> bool:
 FAULTS: dict[str, Callable[[Sweep], bool]] = {
     fault.__name__: fault
     for fault in (
-        kill_worker, hang_worker, crash_worker, kill_snakemake, interrupt, restart_machine, start_twice,
-        truncate_files, corrupt_files, corrupt_results, forbid_writing, fill_disk, set_clock_back,
+        kill_worker, hang_worker, crash_worker, exhaust_memory, kill_snakemake, interrupt,
+        restart_machine, start_twice, truncate_files, corrupt_files, corrupt_results, forbid_writing,
+        fill_disk, set_clock_back,
     )
 }  # fmt: skip
 
 
-def _signal_worker(sweep: Sweep, number: int) -> bool:
+def _disturb_worker(sweep: Sweep, disturb: Callable[[psutil.Process], None]) -> bool:
     struck = False
     with sweep.start() as process:
         if sweep.wait(process) and (workers := sweep.workers(process)):
             with suppress(psutil.NoSuchProcess):
-                sweep.chance.choice(workers).send_signal(number)
+                disturb(sweep.chance.choice(workers))
                 struck = True
         process.communicate()
     return struck
