@@ -124,7 +124,9 @@ class Adapter(Baseline):
         mark = Path(os.environ["DCREG_FAULT_TOKENS"]) / "waited"
         if not mark.exists():
             mark.touch()
-            print("Exception ignored in thread started by:\nMemoryError:", file=sys.stderr, flush=True)
+            print(
+                "Exception ignored in thread started by:\nMemoryError:", file=sys.stderr, flush=True
+            )
             time.sleep(1000)
 
     def _is_late(self, solution: Solution) -> None:
