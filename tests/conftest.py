@@ -79,11 +79,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def quick_compilation(request: pytest.FixtureRequest) -> Iterator[None]:
+def quick_compilation() -> Iterator[None]:
     """Compile as searches and warm-ups do, also what tests call without them."""
-    if request.path.name == "test_compiling.py":  # about that itself
-        yield
-        return
     from dcreg.jit.lean import lean_numba
 
     with lean_numba():

@@ -95,7 +95,7 @@ def check(folder: Path) -> None:
             raise ArchiveError(
                 f"{folder / name}: damaged, its SHA-256 is not {stated}; get it again"
             )
-    if unlisted := _files_in(folder) - {CHECKSUMS} - {name for _, _, name in lines}:
+    if unlisted := files_in(folder) - {CHECKSUMS} - {name for _, _, name in lines}:
         raise ArchiveError(
             f"{folder / min(unlisted)}: not listed in {CHECKSUMS}; remove it or get the archive again"
         )
@@ -103,7 +103,7 @@ def check(folder: Path) -> None:
     records.check_version(version, str(folder), "read it with the checkout that wrote it")
 
 
-def _files_in(folder: Path) -> set[str]:
+def files_in(folder: Path) -> set[str]:
     """Return the relative paths of all files of an archive, without those that file managers add."""
     files = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     return {path.as_posix() for path in files if not path.name.startswith(".")}

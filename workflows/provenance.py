@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from workflows import CHECKOUT
+from workflows import CHECKOUT, integrity
 from workflows.hashing import digest
 
 PACKAGES = [
@@ -32,6 +32,7 @@ PACKAGES = [
     "plotly",
 ]
 
+LOCK = CHECKOUT / "requirements.lock"
 _CODE = ("dcreg", "baselines", "data", "workflows", "reports")
 
 
@@ -72,6 +73,17 @@ def git_state() -> dict[str, Any]:
     new = _git("ls-files", "--others", "--exclude-standard", "--", *_CODE)
     untracked = new.splitlines() if new else []
     return {"commit": commit or "", "dirty": bool(changed or untracked), "untracked": untracked}
+
+
+def origin() -> dict[str, Any]:
+    """Return what results depend on besides their config: machine, code and packages."""
+    return {
+        "machine": machine_card(),
+        "versions": versions(),
+        "git": git_state(),
+        "lock_sha256": integrity.digest(LOCK) if LOCK.is_file() else "",
+        "created": now(),
+    }
 
 
 def default_version() -> str:

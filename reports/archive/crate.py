@@ -9,6 +9,7 @@ from typing import Any
 from rocrate.rocrate import ROCrate
 
 from reports.tables import ReportError
+from workflows.archives import files_in
 
 METADATA = "ro-crate-metadata.json"
 _UNDESCRIBED = {METADATA, "checksums.sha256"}
@@ -67,8 +68,7 @@ def describe(folder: Path, facts: Mapping[str, Any]) -> None:
 
 
 def _described(folder: Path) -> list[str]:
-    files = (path for path in folder.rglob("*") if path.is_file())
-    return sorted({path.relative_to(folder).as_posix() for path in files} - _UNDESCRIBED)
+    return sorted(files_in(folder) - _UNDESCRIBED)
 
 
 def _meaning(name: str) -> str:

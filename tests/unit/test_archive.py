@@ -24,7 +24,6 @@ from workflows.blocks import FORECASTS, NEEDS
 from workflows.integrity import digest, set_aside_damaged
 from workflows.outcomes import STARTED
 from workflows.stages.clouds import CLOUDS
-from workflows.studies.bounds import provenance_of
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +35,9 @@ def results(tmp_path_factory) -> Path:
     pd.DataFrame({"bound": ["dc", "tight"], "value": [0.5, 0.75]}).to_csv(
         root / "bounds" / "boxes.csv", index=False
     )
-    (root / "bounds" / "provenance.json").write_text(json.dumps(provenance_of(6.0)))
+    (root / "bounds" / "provenance.json").write_text(
+        json.dumps({"time_s": 6.0, **provenance.origin()})
+    )
     return root
 
 

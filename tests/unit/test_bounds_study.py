@@ -1,5 +1,7 @@
 """The study of bounds: discovery, boxes, validity, orders of convergence, figures and page."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,6 +11,7 @@ from dcreg.families.dc.bounds import IntervalBound
 from dcreg.names import BOUND_NAMES
 from dcreg.search import Box
 from reports import bounds_study as page
+from workflows import provenance
 from workflows.studies import bounds as study
 
 SMALL = {"plane": ("fish", "noise", 0.03, 10, {}), "space": ("pony", "noise", 0.02, 10, {})}
@@ -113,6 +116,22 @@ def test_the_reference_loses_once_its_loss_and_first_order_bounds_more_in_small_
     np.testing.assert_allclose(ratio.loc[study.REFERENCE], 1.0)
     for name in ("termwise-r1", "rpm_bp", "hbsp"):
         assert ratio[name, "holding", 0.05] > 2.0
+
+
+def test_tables_are_stored_with_their_origin(tmp_path, cases, boxes, monkeypatch):
+    first = next(iter(boxes))
+    monkeypatch.setattr(study, "CASES", [first])
+    monkeypatch.setattr(study, "TRIALS", 1)
+    monkeypatch.setattr(study.Case, "of", lambda *_: cases[first])
+    monkeypatch.setattr(study, "boxes_table", lambda *_: boxes[first])
+    monkeypatch.setattr(study, "searches_table", lambda *_: pd.DataFrame({"bound": ["dc"]}))
+    study.run(tmp_path, 6.0)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"boxes.csv", "losses.csv", "orders.csv", "searches.csv", "provenance.json"}
+    known = json.loads((tmp_path / "provenance.json").read_text())
+    assert known["time_s"] == 6.0
+    assert known["machine"] == provenance.machine_card()
+    assert known["lock_sha256"]
 
 
 def test_orders_are_the_slopes_of_the_loss():

@@ -31,6 +31,11 @@ SUM = "from dcreg.assignment.kernels.selection import total\nimport numpy as np\
 SUM += "print(total(np.ones(4)))"
 
 
+@pytest.fixture(scope="module", autouse=True)
+def quick_compilation():
+    """Not here: these tests are about the shorter compilation itself."""
+
+
 def run(code, folder, **environment):
     """Output of a Python program that imports the library from `folder`."""
     known = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "PYTHONPATH")}

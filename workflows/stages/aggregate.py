@@ -16,7 +16,7 @@ from dcreg.status import Status
 from workflows import CHECKOUT, attribution, outcomes, provenance, records
 from workflows.installed import why_not_here
 from workflows.instances import read_problems
-from workflows.integrity import digest, sealed_file
+from workflows.integrity import sealed_file
 from workflows.labels import display_names
 from workflows.metrics import METRICS
 from workflows.outcomes import NOT_NEEDED, OUTCOMES
@@ -26,7 +26,6 @@ from workflows.stages.plan import Plan, plan_table
 if TYPE_CHECKING:
     import polars as pl
 
-LOCK = CHECKOUT / "requirements.lock"
 MAX_OVERLAY_POINTS = 400  # per set
 REPLAY = "make replay"  # of the Makefile
 MOST_CSV_ROWS = 200_000  # of a CSV copy
@@ -283,12 +282,8 @@ def _provenance(plan: Plan, runs: pd.DataFrame) -> dict[str, Any]:
         if Path(plan.config).is_file()
         else "",
         "selection": chosen,
-        "machine": provenance.machine_card(),
         "machines_of_runs": sorted(runs["machine_id"].unique()),
-        "versions": provenance.versions(),
-        "git": provenance.git_state(),
-        "lock_sha256": digest(LOCK) if LOCK.is_file() else "",
-        "created": provenance.now(),
+        **provenance.origin(),
         "commands": [run_command(plan)],
         "replay": replay_of(),
         "methods": {

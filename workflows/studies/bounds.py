@@ -28,7 +28,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -48,8 +48,6 @@ from dcreg.search import Box, Budget, Outcome, Tolerance, minimise
 from workflows import provenance
 from workflows.archives import PROVENANCE
 from workflows.disturb import make_instance
-from workflows.integrity import digest
-from workflows.stages.aggregate import LOCK
 from workflows.studies import N_FITTED, REFERENCE, SHOWING
 
 WIDTHS = np.geomspace(2.0, 0.0002, 13)  # of the whole box, in RMS radii of the target
@@ -291,19 +289,9 @@ def run(out: Path, time_s: float) -> None:
     losses.to_csv(out / "losses.csv", index=False)
     orders_table(losses).to_csv(out / "orders.csv", index=False)
     pd.concat(searches).to_csv(out / "searches.csv", index=False)
-    (out / PROVENANCE).write_text(json.dumps(provenance_of(time_s), indent=1) + "\n")
-
-
-def provenance_of(time_s: float) -> dict[str, Any]:
-    """Return what the tables depend on: machine, code, packages, and the seconds per search."""
-    return {
-        "time_s": time_s,
-        "created": provenance.now(),
-        "machine": provenance.machine_card(),
-        "git": provenance.git_state(),
-        "versions": provenance.versions(),
-        "lock_sha256": digest(LOCK) if LOCK.is_file() else "",
-    }
+    (out / PROVENANCE).write_text(
+        json.dumps({"time_s": time_s, **provenance.origin()}, indent=1) + "\n"
+    )
 
 
 def main(
